@@ -1,0 +1,1 @@
+"""Warp functions, structs and kernels: arrays and scalars in, arrays out."""

@@ -1,0 +1,46 @@
+"""From a post's indices to its place in the pool, by floor, ``>>`` and ``&`` alone.
+
+The table is one int32 array. It begins with a header of four integers a level, followed by every
+level's directory (one entry a page: where that page begins in the table) and by the pages (one
+entry a block: its layer in the pool, or -1). The first page stays all -1 and serves every part of
+the terrain where nothing is resident, so that a lookup never branches::
+
+    header[level] = directory start, directory columns, first page row, first page column
+    page          = directory start + (block_row >> 6) * columns + (block_col >> 6)
+    layer         = table[table[page] + ((block_row & 63) << 6) + (block_col & 63)]
+"""
+
+import warp as wp
+
+BLOCK_SHIFT = 8
+BLOCK = 1 << BLOCK_SHIFT
+"""Posts along a block's side. 256 by measurement: see the README's numerics section."""
+PAGE_SHIFT = 6
+PAGE = 1 << PAGE_SHIFT
+"""Blocks along a page's side."""
+HEADER = 4
+"""Header integers a level."""
+ABSENT = -1
+"""Table entry of a block that is not resident."""
+
+_BLOCK_SHIFT = wp.constant(BLOCK_SHIFT)
+_BLOCK_MASK = wp.constant(BLOCK - 1)
+_LAYER_SHIFT = wp.constant(2 * BLOCK_SHIFT)
+_PAGE_SHIFT = wp.constant(PAGE_SHIFT)
+_PAGE_MASK = wp.constant(PAGE - 1)
+
+
+@wp.func
+def layer_of(table: wp.array(dtype=int), level: int, block_row: int, block_col: int) -> int:
+    """Layer of a block, or -1. The block must be one of the level's."""
+    head = level << 2
+    row = (block_row >> _PAGE_SHIFT) - table[head + 2]
+    col = (block_col >> _PAGE_SHIFT) - table[head + 3]
+    page = table[table[head] + row * table[head + 1] + col]
+    return table[page + ((block_row & _PAGE_MASK) << _PAGE_SHIFT) + (block_col & _PAGE_MASK)]
+
+
+@wp.func
+def offset_in_pool(layer: int, row: int, col: int) -> int:
+    """Flat place in the pool of a post of a resident block; ``row`` and ``col`` of the level."""
+    return (layer << _LAYER_SHIFT) + ((row & _BLOCK_MASK) << _BLOCK_SHIFT) + (col & _BLOCK_MASK)

@@ -1,0 +1,1 @@
+"""terrasim: the ground under robots and vehicles."""
