@@ -50,11 +50,21 @@ def command(*words: str) -> str:
     return done.stdout
 
 
+def check_run(folder: Path) -> None:
+    """A run leaves its record and its report."""
+    json.loads((folder / "run.json").read_text())
+    report = (folder / "report.html").stat().st_size
+    files = sorted(path.name for path in folder.iterdir())
+    print(f"the run's folder holds {', '.join(files)}; the report has {report} bytes")
+
+
 if __name__ == "__main__":
     check_place()
     check_kernels()
     command("--help")
     command("schema")
-    for scenario in sorted(Path(sys.argv[1]).glob("*.toml")):
-        json.loads(command("plan", str(scenario), "--json"))
+    scenario = sys.argv[1]
+    json.loads(command("plan", scenario, "--json"))
+    json.loads(command("run", scenario, "--out", "run", "--json"))
+    check_run(Path("run"))
     print(f"terrasim {version('terrasim')} works as a wheel")
