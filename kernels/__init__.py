@@ -1,1 +1,6 @@
 """Warp functions, structs and kernels: arrays and scalars in, arrays out."""
+
+import warp as wp
+
+# Warp's banner goes to stdout, where a program that prints JSON can have nothing else.
+wp.config.quiet = True

@@ -4,7 +4,12 @@ import warp as wp
 
 from terrasim.kernels.surface import Facet, Lattice, normal_of, surface_at
 
+NOT_A_NUMBER = 8
+"""A coordinate is NaN or infinite."""
+
 _OFF = wp.constant(1)
+_IN_HOLE = wp.constant(2)
+_NOT_A_NUMBER = wp.constant(NOT_A_NUMBER)
 
 
 @wp.func
@@ -36,7 +41,18 @@ def facet_at(
     )
     if x != u or y != v:
         facet.state += _OFF
+        # Comparing with itself finds NaN; infinity is the only other value without a difference.
+        if x - x != wp.float64(0.0) or y - y != wp.float64(0.0):
+            facet.state = _NOT_A_NUMBER
     return facet
+
+
+@wp.func
+def world_height(lattice: Lattice, facet: Facet) -> wp.float64:
+    """World z of a facet at its point [m]; NaN in a hole."""
+    if (facet.state & _IN_HOLE) != 0:
+        return wp.float64(wp.nan)
+    return lattice.z + facet.height * wp.float64(1.0e-5)
 
 
 @wp.kernel(enable_backward=False)
@@ -46,20 +62,21 @@ def sample_height(
     table: wp.array(dtype=int),
     lattice: Lattice,
     level: int,
+    used_out: wp.array(dtype=wp.uint8),
     # In:
     points: wp.array(dtype=wp.vec2d),
     # Out:
-    used_out: wp.array(dtype=wp.uint8),
     height_out: wp.array(dtype=wp.float64),
     state_out: wp.array(dtype=wp.uint8),
 ):
     i = wp.tid()
     facet = facet_at(pool, table, lattice, level, points[i])
     used_out[facet.layer] = wp.uint8(1)
-    height_out[i] = lattice.z + facet.height * wp.float64(1.0e-5)
+    height_out[i] = world_height(lattice, facet)
     state_out[i] = wp.uint8(facet.state)
 
 
+# Thirteen parameters: six answers, each an array of its own so that a caller takes what it needs.
 @wp.kernel(enable_backward=False)
 def sample_surface(
     # Terrain:
@@ -68,12 +85,13 @@ def sample_surface(
     error: wp.array(dtype=int),
     lattice: Lattice,
     level: int,
+    used_out: wp.array(dtype=wp.uint8),
     # In:
     points: wp.array(dtype=wp.vec2d),
     # Out:
-    used_out: wp.array(dtype=wp.uint8),
     height_out: wp.array(dtype=wp.float64),
     normal_out: wp.array(dtype=wp.vec3d),
+    slope_out: wp.array(dtype=wp.float64),
     level_out: wp.array(dtype=wp.uint8),
     error_out: wp.array(dtype=wp.float64),
     state_out: wp.array(dtype=wp.uint8),
@@ -81,8 +99,10 @@ def sample_surface(
     i = wp.tid()
     facet = facet_at(pool, table, lattice, level, points[i])
     used_out[facet.layer] = wp.uint8(1)
-    height_out[i] = lattice.z + facet.height * wp.float64(1.0e-5)
-    normal_out[i] = normal_of(facet, lattice.spacing)
+    normal = normal_of(facet, lattice.spacing)
+    height_out[i] = world_height(lattice, facet)
+    normal_out[i] = normal
+    slope_out[i] = wp.length(wp.vec2d(normal[0], normal[1])) / normal[2]
     level_out[i] = wp.uint8(facet.level)
     error_out[i] = wp.float64(error[facet.layer]) * wp.float64(1.0e-5)
     state_out[i] = wp.uint8(facet.state)

@@ -1,0 +1,141 @@
+"""A terrain: heights from a source, held in a pool, read through one surface."""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+from typing import Any, Self
+
+import warp as wp
+
+from terrasim.cache import Cache
+from terrasim.errors import InputError
+from terrasim.grid import Grid
+from terrasim.ground import Ground
+from terrasim.kernels.surface import Lattice
+from terrasim.pool import layers_for
+from terrasim.source import Source
+
+DEFAULT_POOL_BYTES = 64 << 20
+"""Bytes of the pool's posts unless the caller says otherwise: 256 blocks."""
+
+
+class Terrain:
+    """Ground of any size with a pool of fixed size, on one device.
+
+    Close it, or use it as a context manager, to end its loader threads.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        device: str = "cpu",
+        pool_bytes: int = DEFAULT_POOL_BYTES,
+        threads: int = 1,
+        loaders: int = 2,
+    ) -> None:
+        """Open a terrain; the coarsest level is read at once, everything else when needed.
+
+        Args:
+            source: Where the heights come from.
+            device: ``"cpu"`` or a CUDA device such as ``"cuda:0"``.
+            pool_bytes: Bytes of posts to hold on the device.
+            threads: CPU threads a launch may be split over.
+            loaders: Threads that read blocks beside the step.
+
+        Raises:
+            InputError: If the device is unknown, the pool cannot hold what it must, or a number of
+                threads is below 1.
+        """
+        if threads < 1 or loaders < 1:
+            raise InputError(f"threads and loaders must be at least 1, got {threads}, {loaders}")
+        self.source = source
+        self.grid: Grid = source.grid
+        self.device = open_device(device)
+        self.threads = threads
+        self.ground = Ground(source)
+        layers = layers_for(self.grid, pool_bytes)
+        self.cache = Cache(self.grid, self.ground, layers, self.device, loaders)
+        self.lattice = lattice_of(self.grid)
+
+    @property
+    def pool(self) -> Any:
+        """Resident posts [counts], int32, shape ``(layers * BLOCK * BLOCK,)``."""
+        return self.cache.pool.posts
+
+    @property
+    def error(self) -> Any:
+        """Error bound of each layer's block [counts], int32, shape ``(layers,)``."""
+        return self.cache.pool.error
+
+    @property
+    def used(self) -> Any:
+        """Flags in which queries note the layers they read, uint8, shape ``(layers,)``."""
+        return self.cache.pool.used
+
+    @property
+    def resident(self) -> Any:
+        """Pointer table of all resident blocks, for queries and views."""
+        return self.cache.resident.entries
+
+    @property
+    def required(self) -> Any:
+        """Pointer table of the blocks the step requires, for contact."""
+        return self.cache.required.entries
+
+    def close(self) -> None:
+        """End the loader threads. The terrain must not be used afterwards."""
+        self.cache.close()
+
+    def __enter__(self) -> Self:
+        """Use the terrain as a context manager."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+def lattice_of(grid: Grid) -> Any:
+    """The grid as kernels take it."""
+    lattice: Any = Lattice()
+    lattice.x = grid.x
+    lattice.y = grid.y
+    lattice.z = grid.datum
+    lattice.spacing = grid.spacing
+    lattice.row = grid.row
+    lattice.col = grid.col
+    lattice.last_row = grid.row + grid.rows - 2
+    lattice.last_col = grid.col + grid.cols - 2
+    lattice.levels = grid.levels
+    return lattice
+
+
+def open_device(name: str) -> Any:
+    """The Warp device of a name.
+
+    Raises:
+        InputError: If there is no such device.
+    """
+    try:
+        return wp.get_device(name)
+    except (ValueError, RuntimeError):
+        known = ", ".join(str(device) for device in wp.get_devices())
+        raise InputError(f"no device {name!r}: this machine has {known}") from None
+
+
+def finite(value: float, name: str) -> float:
+    """A number that is neither NaN nor infinite.
+
+    Raises:
+        InputError: If it is one of them.
+    """
+    if not math.isfinite(value):
+        raise InputError(f"{name} must be finite, got {value}")
+    return value
