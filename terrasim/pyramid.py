@@ -209,7 +209,7 @@ def level_errors(
             for level in range(1, grid.levels):
                 skipped[level] += _measure(source, level, fine, (row, west), errors[level])
             if progress is not None:
-                progress((row + strip - low) / (high - low))
+                progress((row + len(fine) - 1 - low) / (high - low))
     return [LevelErrors(e, s) for e, s in zip(errors, skipped, strict=True)]
 
 

@@ -212,6 +212,7 @@ def open_store(path: str | Path) -> StoreSource:
         connection = connect_reader(path)
         try:
             require_store(path, connection)
+            _require_length(path, connection)
             found: list[Any] = connection.execute("SELECT key, value FROM meta").fetchall()
         finally:
             connection.close()
@@ -242,6 +243,15 @@ def require_store(path: Path, connection: apsw.Connection) -> None:
             f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
             f"use the release that wrote it"
         )
+
+
+def _require_length(path: Path, connection: apsw.Connection) -> None:
+    # What stands in the write-ahead log need not be in the file yet.
+    expected = connection.pragma("page_count") * connection.pragma("page_size")
+    log = beside(path, "-wal")
+    size = path.stat().st_size
+    if size < expected and not (log.exists() and log.stat().st_size):
+        raise StoreCorrupt(f"{path} is cut short: {size} of {expected} bytes; {REMEDY}")
 
 
 def _require_file(path: Path) -> None:
