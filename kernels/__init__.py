@@ -3,4 +3,4 @@
 import warp as wp
 
 # Warp's banner goes to stdout, where a program that prints JSON can have nothing else.
-wp.config.quiet = True
+wp.config.log_level = wp.LOG_WARNING

@@ -28,19 +28,25 @@ _BLOCK_MASK = wp.constant(BLOCK - 1)
 _LAYER_SHIFT = wp.constant(2 * BLOCK_SHIFT)
 _PAGE_SHIFT = wp.constant(PAGE_SHIFT)
 _PAGE_MASK = wp.constant(PAGE - 1)
+_LEVEL_MASK = wp.constant(31)
+# Warp counts a negative index from the array's end. Where the compiler can see that an index has no
+# sign it leaves that test out: worth a sixth of a query's time on the CPU.
+_NO_SIGN = wp.constant(0x7FFFFFFF)
 
 
 @wp.func
 def layer_of(table: wp.array(dtype=int), level: int, block_row: int, block_col: int) -> int:
     """Layer of a block, or -1. The block must be one of the level's."""
-    head = level << 2
+    head = (level & _LEVEL_MASK) << 2
     row = (block_row >> _PAGE_SHIFT) - table[head + 2]
     col = (block_col >> _PAGE_SHIFT) - table[head + 3]
-    page = table[table[head] + row * table[head + 1] + col]
-    return table[page + ((block_row & _PAGE_MASK) << _PAGE_SHIFT) + (block_col & _PAGE_MASK)]
+    page = table[(table[head] + row * table[head + 1] + col) & _NO_SIGN]
+    place = ((block_row & _PAGE_MASK) << _PAGE_SHIFT) + (block_col & _PAGE_MASK)
+    return table[(page + place) & _NO_SIGN]
 
 
 @wp.func
 def offset_in_pool(layer: int, row: int, col: int) -> int:
     """Flat place in the pool of a post of a resident block; ``row`` and ``col`` of the level."""
-    return (layer << _LAYER_SHIFT) + ((row & _BLOCK_MASK) << _BLOCK_SHIFT) + (col & _BLOCK_MASK)
+    place = ((row & _BLOCK_MASK) << _BLOCK_SHIFT) + (col & _BLOCK_MASK)
+    return ((layer << _LAYER_SHIFT) + place) & _NO_SIGN

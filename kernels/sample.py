@@ -2,11 +2,20 @@
 
 import warp as wp
 
-from terrasim.kernels.surface import Facet, Lattice, normal_of, surface_at
+from terrasim.kernels.addressing import layer_of, offset_in_pool
+from terrasim.kernels.surface import Facet, Lattice, facet_of, normal_of, surface_at
 
 NOT_A_NUMBER = 8
 """A coordinate is NaN or infinite."""
 
+PENDING = 128
+"""The quick pass left the point to the general one."""
+
+_NO_SIGN = wp.constant(0x7FFFFFFF)
+_SHIFT = wp.constant(8)
+_LAST = wp.constant(255)
+_PITCH = wp.constant(256)
+_PENDING = wp.constant(PENDING)
 _OFF = wp.constant(1)
 _IN_HOLE = wp.constant(2)
 _NOT_A_NUMBER = wp.constant(NOT_A_NUMBER)
@@ -53,6 +62,65 @@ def world_height(lattice: Lattice, facet: Facet) -> wp.float64:
     if (facet.state & _IN_HOLE) != 0:
         return wp.float64(wp.nan)
     return lattice.z + facet.height * wp.float64(1.0e-5)
+
+
+@wp.struct
+class LevelLattice:
+    """Placement of one level's posts, for :func:`sample_inside`."""
+
+    x: wp.float64
+    """World x of column 0 [m]."""
+    y: wp.float64
+    """World y of row 0 [m]."""
+    z: wp.float64
+    """World z of count 0 [m]."""
+    spacing: wp.float64
+    """Distance between the level's posts [m]."""
+    west: wp.float64
+    """The terrain's edges in columns and rows of the level."""
+    east: wp.float64
+    south: wp.float64
+    north: wp.float64
+    level: int
+    """The level."""
+
+
+# On the CPU a short kernel without rare cases runs at twice the speed of one that has them all.
+@wp.kernel(enable_backward=False)
+def sample_inside(
+    # Terrain:
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: LevelLattice,
+    used_out: wp.array(dtype=wp.uint8),
+    # In:
+    points: wp.array(dtype=wp.vec2d),
+    # Out:
+    height_out: wp.array(dtype=wp.float64),
+    state_out: wp.array(dtype=wp.uint8),
+):
+    """Heights of points whose cell lies inside one resident block; the rest stay ``PENDING``."""
+    i = wp.tid() & _NO_SIGN
+    x = (points[i][0] - lattice.x) / lattice.spacing
+    y = (points[i][1] - lattice.y) / lattice.spacing
+    state = int(_PENDING)
+    # Comparisons that NaN fails, too.
+    if x >= lattice.west and x < lattice.east and y >= lattice.south and y < lattice.north:
+        col = int(wp.floor(x))
+        row = int(wp.floor(y))
+        layer = layer_of(table, lattice.level, row >> _SHIFT, col >> _SHIFT)
+        if layer >= 0 and (row & _LAST) != _LAST and (col & _LAST) != _LAST:
+            u = x - wp.float64(col)
+            v = y - wp.float64(row)
+            near = offset_in_pool(layer, row, col)
+            mid = (near + wp.where(u >= v, 1, _PITCH)) & _NO_SIGN
+            far = (near + _PITCH + 1) & _NO_SIGN
+            facet = facet_of(pool[near], pool[mid], pool[far], lattice.level, layer, u, v)
+            if facet.state == 0:
+                height_out[i] = lattice.z + facet.height * wp.float64(1.0e-5)
+                used_out[layer] = wp.uint8(1)
+                state = 0
+    state_out[i] = wp.uint8(state)
 
 
 @wp.kernel(enable_backward=False)

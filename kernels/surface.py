@@ -32,6 +32,7 @@ _PITCH = wp.constant(256)
 _OFF = wp.constant(OFF_TERRAIN)
 _IN_HOLE = wp.constant(IN_HOLE)
 _COARSER = wp.constant(COARSER)
+_NO_SIGN = wp.constant(0x7FFFFFFF)
 
 
 @wp.struct
@@ -96,7 +97,10 @@ def facet_of(
     else:
         first = wp.float64(wp.int64(mid) - wp.int64(near))
         second = wp.float64(wp.int64(far) - wp.int64(mid))
-        facet.height = wp.float64(near) + (first * wp.max(u, v) + second * wp.min(u, v))
+        # wp.max and wp.min also look for NaN, which is refused before it comes here.
+        larger = wp.where(u >= v, u, v)
+        smaller = wp.where(u >= v, v, u)
+        facet.height = wp.float64(near) + (first * larger + second * smaller)
         facet.du = wp.where(u >= v, first, second)
         facet.dv = wp.where(u >= v, second, first)
     return facet
@@ -175,8 +179,9 @@ def surface_at(
     if layer < 0 or (r & _LAST) == _LAST or (c & _LAST) == _LAST:
         return any_facet(pool, table, levels, level, row, col, u, v)
     near = offset_in_pool(layer, r, c)
-    mid = near + wp.where(p >= q, 1, _PITCH)
-    return facet_of(pool[near], pool[mid], pool[near + _PITCH + 1], level, layer, p, q)
+    mid = (near + wp.where(p >= q, 1, _PITCH)) & _NO_SIGN
+    far = (near + _PITCH + 1) & _NO_SIGN
+    return facet_of(pool[near], pool[mid], pool[far], level, layer, p, q)
 
 
 @wp.func

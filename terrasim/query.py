@@ -14,10 +14,20 @@ from terrasim.arrays import answer, kind_of, vectors
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK_SHIFT
-from terrasim.kernels.sample import NOT_A_NUMBER, sample_height, sample_surface
+from terrasim.kernels.sample import (
+    NOT_A_NUMBER,
+    PENDING,
+    LevelLattice,
+    sample_height,
+    sample_inside,
+    sample_surface,
+)
 from terrasim.kernels.surface import COARSER, IN_HOLE, OFF_TERRAIN
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
+
+Call = tuple[Any, list[Any]]
+"""A kernel and its shared arguments."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +81,13 @@ def sample(terrain: Terrain, points: Any, *, level: int = 0, wait: bool = True) 
     height = wp.empty(count, dtype=wp.float64, device=terrain.device)
     state = wp.empty(count, dtype=wp.uint8, device=terrain.device)
     outputs = [height, state]
-    _answer_all(terrain, asked, level, wait, sample_height, _height_shared(terrain, level), outputs)
+    shared = [terrain.pool, terrain.resident, terrain.lattice, level, terrain.used]
+    call = (sample_height, shared)
+    if terrain.device.is_cuda:
+        _launch(terrain, call, asked, outputs)
+    else:
+        _launch_quick(terrain, call, level, asked, outputs)
+    _complete(terrain, call, asked, level, wait, outputs)
     return Sample(*(answer(array, kind) for array in outputs))
 
 
@@ -87,7 +103,9 @@ def sample_all(
     types = (wp.float64, wp.vec3d, wp.float64, wp.uint8, wp.float64, wp.uint8)
     outputs = [wp.empty(count, dtype=dtype, device=terrain.device) for dtype in types]
     shared = [terrain.pool, terrain.resident, terrain.error, terrain.lattice, level, terrain.used]
-    _answer_all(terrain, asked, level, wait, sample_surface, shared, outputs)
+    call = (sample_surface, shared)
+    _launch(terrain, call, asked, outputs)
+    _complete(terrain, call, asked, level, wait, outputs)
     return SurfaceSample(*(answer(array, kind) for array in outputs))
 
 
@@ -102,20 +120,8 @@ def _asked(terrain: Terrain, points: Any, level: int) -> tuple[Any, Any]:
     return kind_of(points), vectors(points, 2, terrain.device, "points")
 
 
-def _height_shared(terrain: Terrain, level: int) -> list[Any]:
-    return [terrain.pool, terrain.resident, terrain.lattice, level, terrain.used]
-
-
-def _answer_all(
-    terrain: Terrain,
-    asked: Any,
-    level: int,
-    wait: bool,
-    kernel: Any,
-    shared: list[Any],
-    outputs: list[Any],
-) -> None:
-    """Launch on what is resident; then, if the caller waits, bring in what was missing."""
+def _launch(terrain: Terrain, call: Call, asked: Any, outputs: list[Any]) -> None:
+    kernel, shared = call
     launch(
         kernel,
         asked.shape[0],
@@ -124,45 +130,59 @@ def _answer_all(
         device=terrain.device,
         threads=terrain.threads,
     )
+
+
+def _launch_quick(terrain: Terrain, call: Call, level: int, asked: Any, outputs: list[Any]) -> None:
+    """The quick pass, then the general kernel on the few points it left."""
+    shared = [terrain.pool, terrain.resident, level_lattice(terrain.grid, level), terrain.used]
+    _launch(terrain, (sample_inside, shared), asked, outputs)
+    left = np.flatnonzero(outputs[-1].numpy() & PENDING)
+    if left.size:
+        _answer_some(terrain, call, asked.numpy()[left], left, outputs)
+
+
+def _answer_some(
+    terrain: Terrain,
+    call: Call,
+    points: npt.NDArray[np.float64],
+    places: npt.NDArray[np.int64],
+    outputs: list[Any],
+) -> None:
+    """Answer some points and put the answers at their places among the outputs."""
+    asked: Any = wp.array(points, dtype=wp.vec2d, device=terrain.device)
+    answers: list[Any] = [
+        wp.empty(len(points), dtype=array.dtype, device=terrain.device) for array in outputs
+    ]
+    _launch(terrain, call, asked, answers)
+    for array, part in zip(outputs, answers, strict=True):
+        host = array.numpy()
+        host[places] = part.numpy()
+        if terrain.device.is_cuda:
+            array.assign(host)
+
+
+def _complete(
+    terrain: Terrain, call: Call, asked: Any, level: int, wait: bool, outputs: list[Any]
+) -> None:
+    """Refuse NaN, bring in what was missing if the caller waits, and count."""
     state = outputs[-1].numpy()
     seen = int(np.bitwise_or.reduce(state)) if state.size else 0
     if seen & NOT_A_NUMBER:
         bad = int(np.flatnonzero(state & NOT_A_NUMBER)[0])
-        raise InputError(f"points[{bad}] must be finite, got {tuple(asked.numpy()[bad])}")
+        raise InputError(f"points[{bad}] must be finite, got {tuple(asked.numpy()[bad].tolist())}")
     if seen & COARSER and wait:
         late = np.flatnonzero(state & COARSER)
-        _answer_late(terrain, asked.numpy()[late], late, level, (kernel, shared), outputs)
+        points = asked.numpy()[late]
+        # As many blocks at a time as the pool holds.
+        for part, blocks in _groups(terrain, points, level):
+            terrain.cache.hold(blocks)
+            _answer_some(terrain, call, points[part], late[part], outputs)
         state = outputs[-1].numpy()
     if seen:
         _count(terrain, state)
     used = terrain.cache.note_used()
     if seen & COARSER and not wait:
         terrain.cache.note_fallback(used, level)
-
-
-def _answer_late(
-    terrain: Terrain,
-    points: npt.NDArray[np.float64],
-    late: npt.NDArray[np.int64],
-    level: int,
-    call: tuple[Any, list[Any]],
-    outputs: list[Any],
-) -> None:
-    """Answer points whose blocks were not resident, as many blocks at a time as the pool holds."""
-    kernel, shared = call
-    hosts = [array.numpy() for array in outputs]
-    for part, blocks in _groups(terrain, points, level):
-        terrain.cache.hold(blocks)
-        asked: Any = wp.array(points[part], dtype=wp.vec2d, device=terrain.device)
-        answers = [
-            wp.empty(len(part), dtype=array.dtype, device=terrain.device) for array in outputs
-        ]
-        wp.launch(kernel, dim=len(part), inputs=[*shared, asked, *answers], device=terrain.device)
-        for host, array in zip(hosts, answers, strict=True):
-            host[late[part]] = array.numpy()
-    if terrain.device.is_cuda:
-        for array, host in zip(outputs, hosts, strict=True):
-            array.assign(host)
 
 
 def _groups(
@@ -193,6 +213,22 @@ def _groups(
         blocks.update(dict.fromkeys(new))
         first = int(ends[i])
     yield order[start:first], list(blocks)
+
+
+def level_lattice(grid: Grid, level: int) -> Any:
+    """One level's posts as the quick kernel takes them."""
+    scale = float(1 << level)
+    lattice: Any = LevelLattice()
+    lattice.x = grid.x
+    lattice.y = grid.y
+    lattice.z = grid.datum
+    lattice.spacing = grid.spacing * scale
+    lattice.west = grid.col / scale
+    lattice.east = (grid.col + grid.cols - 1) / scale
+    lattice.south = grid.row / scale
+    lattice.north = (grid.row + grid.rows - 1) / scale
+    lattice.level = level
+    return lattice
 
 
 def cells_of(
