@@ -105,6 +105,17 @@ def differentiated(source: str) -> list[str]:
     ]
 
 
+def unmarked_torch(source: str) -> list[str]:
+    """Tests that need torch without the mark by which .ci/run chooses them."""
+    return [
+        node.name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef)
+        and "importorskip('torch'" in ast.unparse(node)
+        and not any("mark.torch" in ast.unparse(mark) for mark in node.decorator_list)
+    ]
+
+
 @kernel_file
 def test_a_kernel_fits_on_a_screen(path: Path) -> None:
     assert oversized(path.read_text()) == []
@@ -141,6 +152,12 @@ def test_a_file_holds_one_idea(path: Path) -> None:
     assert len(path.read_text().splitlines()) <= LONGEST_FILE
 
 
+@pytest.mark.parametrize("path", (ROOT / "tests").glob("test_*.py"), ids=lambda path: path.name)
+def test_what_needs_torch_is_marked(path: Path) -> None:
+    """Unmarked, it would be skipped in every run."""
+    assert unmarked_torch(path.read_text()) == []
+
+
 BAD_KERNEL = """
 import numpy
 import terrasim.grid
@@ -163,3 +180,6 @@ def test_the_checks_see_what_they_forbid() -> None:
     assert len(divided_addresses(source)) == 2
     assert foreign_imports(source) == ["numpy", "terrasim.grid"]
     assert differentiated(source) == ["spread"]
+    needs = 'def test_it():\n    pytest.importorskip("torch", reason="no torch")\n'
+    assert unmarked_torch(needs) == ["test_it"]
+    assert unmarked_torch(f"@pytest.mark.torch\n{needs}") == []
