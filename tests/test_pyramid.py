@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from terrasim.array_source import ArraySource
@@ -109,6 +109,9 @@ def test_a_level_splits_its_cells_along_the_rising_diagonal() -> None:
     col=st.integers(-1500, 1500),
     seed=st.integers(0, 1000),
 )
+# The last post of a level is odd and its block's last: the next level needs one block more.
+@example(rows=512, cols=512, row=0, col=0, seed=0)
+@example(rows=300, cols=700, row=724, col=-189, seed=0)
 def test_streamed_levels_are_sub_samples_with_the_edge_carried_on(
     rows: int, cols: int, row: int, col: int, seed: int
 ) -> None:
@@ -178,6 +181,22 @@ def test_level_errors_do_not_depend_on_how_they_are_streamed(
             for r in range(span.row0, span.row1)
         ]
         assert error.tolist() == expected
+
+
+def test_the_edge_carried_on_is_measured_where_holes_hide_it_inside() -> None:
+    """A cell one beyond the terrain knows ground that none inside does."""
+    posts = np.zeros((300, 300), dtype=np.int32)
+    posts[0, 1::2] = posts[1::2, 0] = 1000
+    posts[1, :] = posts[:, 1] = HOLE
+    posts[0, 1] = posts[1, 0] = 1000
+    for row, col in ((-299, 1), (1, -299), (-299, -299)):
+        source = ArraySource(posts, Grid(300, 300, 1.0, row=row, col=col))
+        error = level_errors(source)[1].error
+        assert error.max() == 1000
+        assert error.tolist() == [
+            [source.block(Block(1, r, c)).error for c in range(*source.grid.blocks(1)[2:])]
+            for r in range(*source.grid.blocks(1)[:2])
+        ]
 
 
 def test_one_block_is_measured_alone_as_in_the_whole() -> None:
