@@ -112,7 +112,11 @@ def unmarked_torch(source: str) -> list[str]:
         node.name
         for node in ast.walk(ast.parse(source))
         if isinstance(node, ast.FunctionDef)
-        and "importorskip('torch'" in ast.unparse(node)
+        and any(
+            isinstance(call, ast.Call)
+            and ast.unparse(call).startswith("pytest.importorskip('torch'")
+            for call in ast.walk(node)
+        )
         and not any("mark.torch" in ast.unparse(mark) for mark in node.decorator_list)
     ]
 
