@@ -95,12 +95,16 @@ class Cache:
         self._publish()
 
     def want(self, needs: Sequence[Need]) -> None:
-        """Say what will be needed soon, in the order of need; replaces what was said before."""
+        """Say what will be needed soon, in the order of need; replaces what was said before.
+
+        What the pool cannot hold beside the required blocks is left out, the last first.
+        """
         wanted: dict[Block, None] = {}
         for need in needs:
             wanted.update(dict.fromkeys(need.blocks(self.grid, need.level)))
-        self._wanted = list(wanted)
-        held = [self._layer[key] for key in wanted if key in self._layer]
+        beside = [key for key in wanted if key not in self._needed and key not in self._top]
+        self._wanted = beside[: max(0, self.capacity - len(self._needed - self._top))]
+        held = [self._layer[key] for key in self._wanted if key in self._layer]
         self._last_used[held] = np.maximum(self._last_used[held], self._tick)
 
     def work(self, budget_ms: float) -> None:
@@ -125,7 +129,7 @@ class Cache:
             self._place(key, layer, urgent=False)
             took = (time.perf_counter() - start) * 1e3 - spent
             self._worst_place_ms = max(took, 0.9 * self._worst_place_ms)
-        self._ask_wanted(keep)
+        self._ask_wanted()
         self._publish()
         spent = (time.perf_counter() - start) * 1e3
         self.counters.queue_ms += spent
@@ -169,6 +173,11 @@ class Cache:
     def is_resident(self, key: Block) -> bool:
         """Whether a block is in the pool."""
         return key in self._layer
+
+    @property
+    def pending(self) -> int:
+        """Wanted blocks that are not there yet."""
+        return len(self._missing_wanted())
 
     @property
     def residents(self) -> list[Block]:
@@ -293,15 +302,11 @@ class Cache:
         self._dirty.discard(key)
         self.counters.written_back += 1
 
-    def _ask_wanted(self, keep: set[Block]) -> None:
-        missing = [
-            key for key in self._wanted if key not in self._layer and key not in self._arriving
-        ]
-        if not missing:
-            return
-        kept = sum(1 for key in keep.union(self._top) if key in self._layer)
-        room = self.pool.layers - kept - len(self._arriving)
-        for key in missing[: max(0, min(room, self._loader.slots))]:
+    def _missing_wanted(self) -> list[Block]:
+        return [key for key in self._wanted if key not in self._layer and key not in self._arriving]
+
+    def _ask_wanted(self) -> None:
+        for key in self._missing_wanted()[: self._loader.slots]:
             if self._loader.waiting >= self._loader.slots:
                 break
             self._loader.ask(key)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from terrasim.grid import Block
 from terrasim.source import BlockData
@@ -63,15 +63,13 @@ class Loader:
         return self._loading.pop(key).result()
 
     def drop(self, keep: set[Block]) -> None:
-        """Forget what was asked for and is no longer wanted, if it has not begun or has ended."""
-        for key in [key for key in self._loading if key not in keep]:
-            future = self._loading[key]
-            if future.cancel() or future.done():
-                del self._loading[key]
+        """Forget what was asked for and is no longer wanted, unless it has begun.
 
-    def wait_any(self) -> None:
-        """Wait until one of the blocks asked for has been read."""
-        wait(self._loading.values(), return_when=FIRST_COMPLETED)
+        What was read is placed all the same: a need that passed by often comes back.
+        """
+        for key in [key for key in self._loading if key not in keep]:
+            if self._loading[key].cancel():
+                del self._loading[key]
 
     def close(self) -> None:
         """End the threads; what has not begun is dropped, edits being packed are finished."""
