@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,17 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrasim.array_source import ArraySource
+from terrasim.build import build_store
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
+from terrasim.store import open_store
 
 
 def rough(rows: int, cols: int, seed: int = 0) -> Counts:
     """Independent random heights of +-10 m."""
-    return np.random.default_rng(seed).integers(
-        -1_000_000, 1_000_000, (rows, cols), dtype=np.int32
-    )
+    return np.random.default_rng(seed).integers(-1_000_000, 1_000_000, (rows, cols), dtype=np.int32)
 
 
 def surface(corners: Counts, u: float, v: float) -> float:
@@ -42,15 +43,9 @@ def brute_error(source: ArraySource, key: Block) -> float:
     step = 1 << key.level
     worst = 0.0
     span = source.grid.posts(key.level)
-    for r in range(
-        max(span.row0 - 1, key.row * BLOCK), min(span.row1, (key.row + 1) * BLOCK)
-    ):
-        for c in range(
-            max(span.col0 - 1, key.col * BLOCK), min(span.col1, (key.col + 1) * BLOCK)
-        ):
-            corners = source.posts(
-                key.level, np.array([r, r + 1]), np.array([c, c + 1])
-            )
+    for r in range(max(span.row0 - 1, key.row * BLOCK), min(span.row1, (key.row + 1) * BLOCK)):
+        for c in range(max(span.col0 - 1, key.col * BLOCK), min(span.col1, (key.col + 1) * BLOCK)):
+            corners = source.posts(key.level, np.array([r, r + 1]), np.array([c, c + 1]))
             fine = source.posts(
                 0,
                 np.arange(r * step, (r + 1) * step + 1),
@@ -108,6 +103,22 @@ def test_block_error_equals_brute_force(
         assert source.block(key).error == np.ceil(brute_error(source, key) - 1e-6)
 
 
+def test_a_store_built_from_it_says_the_same_of_every_block(tmp_path: Path) -> None:
+    """Posts, ranges and errors of all levels, measured there by kernels; with holes."""
+    heights = rough(300, 550)
+    heights[rough(1, 9, 1)[0] % 300, rough(1, 9, 2)[0] % 550] = HOLE
+    source = ArraySource(heights, Grid(300, 550, 1.0, row=-20, col=7))
+    build_store(source, source.grid, tmp_path / "a.store", provenance=source.provenance)
+    with open_store(tmp_path / "a.store") as stored:
+        for level in range(source.grid.levels):
+            span = source.grid.blocks(level)
+            for r, c in product(range(span.row0, span.row1), range(span.col0, span.col1)):
+                mine, other = source.block(Block(level, r, c)), stored.block(Block(level, r, c))
+                np.testing.assert_array_equal(mine.posts, other.posts)
+                assert (mine.lowest, mine.highest) == (other.lowest, other.highest)
+                assert mine.error == other.error
+
+
 def test_an_error_measured_in_strips_equals_one_measured_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -115,11 +126,7 @@ def test_an_error_measured_in_strips_equals_one_measured_whole(
     heights = rough(300, 70)
     whole = ArraySource(heights, Grid(300, 70, 1.0)).block(Block(1, 0, 0)).error
     monkeypatch.setattr("terrasim.array_source._STRIP_POSTS", 64)
-    assert (
-        ArraySource(heights, Grid(300, 70, 1.0)).block(Block(1, 0, 0)).error
-        == whole
-        > 0
-    )
+    assert ArraySource(heights, Grid(300, 70, 1.0)).block(Block(1, 0, 0)).error == whole > 0
 
 
 def test_a_plane_has_no_error_at_any_level() -> None:
@@ -133,9 +140,7 @@ def test_a_plane_has_no_error_at_any_level() -> None:
 
 def test_metres_become_counts_and_nan_a_hole() -> None:
     """One count is 10 micrometres above the datum."""
-    source = ArraySource.from_metres(
-        [[100.0, 101.5], [np.nan, 99.99999]], spacing=2.0, datum=100.0
-    )
+    source = ArraySource.from_metres([[100.0, 101.5], [np.nan, 99.99999]], spacing=2.0, datum=100.0)
     got = source.posts(0, np.arange(2), np.arange(2))
     np.testing.assert_array_equal(got, [[0, 150_000], [HOLE, -1]])
     assert source.grid == Grid(2, 2, 2.0, datum=100.0)
