@@ -303,8 +303,10 @@ def test_what_a_level_misses_of_a_stamp_is_bounded(
     """On flat ground the exact error is the stamp's own, and the bound is not idle."""
     rng = np.random.default_rng(5)
     middle = (edges.col + edges.cols / 2) * edges.spacing, 50.0
-    # The last one reaches over an edge.
-    places = [*(rng.uniform(0.0, 9.0, 2) + middle for _ in range(3)), np.array([60.0, 0.0])]
+    # The last ones are steepest at the edges.
+    west, south = edges.col * edges.spacing, edges.row * edges.spacing
+    places = [*(rng.uniform(0.0, 9.0, 2) + middle for _ in range(3)), (west + 11, 60.0)]
+    places.append((60.0, south - 1))
     for x, y in places:
         stamp = make(float(x), float(y))
         with Terrain(ArraySource(np.zeros((edges.rows, edges.cols), np.int32), edges)) as terrain:
@@ -326,6 +328,28 @@ def test_the_bound_of_a_smooth_stamp_is_nearly_reached() -> None:
         apply(terrain, [Gaussian(101.0, 101.0, 4.0, 30.0)])
         exact = ArraySource(heights(terrain), grid).block(Block(1, 0, 0)).error
         assert exact <= error_of(terrain, Block(1, 0, 0)) <= 1.05 * exact + 2
+
+
+@pytest.mark.parametrize("side", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_a_block_knows_of_an_edit_to_its_neighbours_first_post(side: tuple[int, int]) -> None:
+    """One post between four blocks of level 1: the cells of all of them rise halfway."""
+    grid = Grid(1025, 1025, 1.0)
+    with Terrain(ArraySource(np.zeros((1025, 1025), np.int32), grid)) as terrain:
+        ledger = apply(terrain, [Gaussian(512.0, 512.0, 2.0, 0.1)])
+        assert (ledger.posts, ledger.added) == (1, 200_000)
+        key = Block(1, *side)
+        exact = ArraySource(heights(terrain), grid).block(key).error
+        assert exact == 100_000
+        assert error_of(terrain, key) >= exact
+
+
+def test_a_block_of_holes_has_no_range() -> None:
+    grid = Grid(300, 600, 1.0)
+    before = np.zeros((300, 600), np.int32)
+    before[:, :256] = HOLE
+    with Terrain(ArraySource(before, grid)) as terrain:
+        apply(terrain, [Gaussian(250.0, 100.0, 2.0, 20.0)])
+        assert_blocks_follow(terrain, heights(terrain))
 
 
 def test_stamps_that_share_no_cell_do_not_add_their_errors() -> None:
