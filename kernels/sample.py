@@ -144,7 +144,6 @@ def sample_height(
     state_out[i] = wp.uint8(facet.state)
 
 
-# Thirteen parameters: six answers, each an array of its own so that a caller takes what it needs.
 @wp.kernel(enable_backward=False)
 def sample_surface(
     # Terrain:
@@ -164,6 +163,7 @@ def sample_surface(
     error_out: wp.array(dtype=wp.float64),
     state_out: wp.array(dtype=wp.uint8),
 ):
+    # Over the limit: six answers, each an array of its own so that a caller takes what it needs.
     i = wp.tid()
     facet = facet_at(pool, table, lattice, level, points[i])
     used_out[facet.layer] = wp.uint8(1)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Indices, Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
 
@@ -38,21 +39,32 @@ class Disc:
     level: int = 0
     """Level that is needed there."""
 
+    def __post_init__(self) -> None:
+        """Refuse a disc that is nowhere."""
+        for name in ("row", "col"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"{name} must be finite, got {getattr(self, name)}")
+        if not (math.isfinite(self.radius) and self.radius >= 0.0):
+            raise InputError(f"radius must be finite and not negative, got {self.radius}")
+        if self.level < 0:
+            raise InputError(f"level must not be negative, got {self.level}")
+
     def blocks(self, grid: Grid, level: int) -> list[Block]:
         """Blocks that the disc's cells read, nearest first."""
         scale = float(1 << level)
-        row, col = self.row / scale, self.col / scale
+        # What lies off the terrain reads its nearest edge, and so no further from the moved centre.
+        row = min(max(self.row, grid.row), grid.row + grid.rows - 1) / scale
+        col = min(max(self.col, grid.col), grid.col + grid.cols - 1) / scale
         radius = self.radius * float(1 << self.level) / scale
         span = grid.blocks(level)
-        rows = _reach(row, radius, span.row0, span.row1)
+        # Plain numbers: NumPy's calls give Python's lock away, and a loader thread keeps it.
         cols = _reach(col, radius, span.col0, span.col1)
-        # A cell reads one post beyond its own, so a block serves cells from one before it.
-        away_row = _distance(rows, row)[:, None]
-        away_col = _distance(cols, col)[None, :]
-        distance = np.hypot(away_row, away_col)
-        found = np.argwhere(distance <= radius)
-        order = np.argsort(distance[found[:, 0], found[:, 1]], kind="stable")
-        return [Block(level, int(rows[i]), int(cols[j])) for i, j in found[order]]
+        found = [
+            (math.hypot(away_row, away_col), Block(level, block_row, block_col))
+            for block_row, away_row in _reach(row, radius, span.row0, span.row1)
+            for block_col, away_col in cols
+        ]
+        return [key for distance, key in sorted(found) if distance <= radius]
 
 
 @dataclass(frozen=True)
@@ -103,18 +115,17 @@ def region_blocks(grid: Grid, region: Span, level: int) -> list[Block]:
     ]
 
 
-def _reach(centre: float, radius: float, first: int, end: int) -> Indices:
-    low = int(np.floor(centre - radius)) >> BLOCK_SHIFT
-    high = (int(np.floor(centre + radius)) + 1) >> BLOCK_SHIFT
-    # A place off the terrain needs its nearest edge.
-    low, high = min(max(low, first), end - 1), min(max(high, first), end - 1)
-    return np.arange(low, high + 1, dtype=np.int64)
+def _reach(centre: float, radius: float, first: int, end: int) -> list[tuple[int, float]]:
+    """Blocks along one axis that lie within a radius, each with its distance [posts].
 
-
-def _distance(blocks: Indices, centre: float) -> npt.NDArray[np.float64]:
-    low = blocks * BLOCK - 1.0
-    away: npt.NDArray[np.float64] = np.maximum(low - centre, centre - (low + BLOCK + 1.0))
-    return np.maximum(away, 0.0)
+    A cell reads one post beyond its own, so a block serves cells from one before it.
+    """
+    low = math.floor(centre - radius) >> BLOCK_SHIFT
+    high = (math.floor(centre + radius) + 1) >> BLOCK_SHIFT
+    return [
+        (block, max(block * BLOCK - 1.0 - centre, centre - (block + 1) * BLOCK, 0.0))
+        for block in range(max(low, first), min(high, end - 1) + 1)
+    ]
 
 
 def _block_range(
