@@ -77,9 +77,7 @@ class ArraySource:
         """
         metres = np.asarray(heights, dtype=np.float64)
         if metres.ndim != 2:
-            raise InputError(
-                f"heights must be 2-D, (rows, cols), got shape {metres.shape}"
-            )
+            raise InputError(f"heights must be 2-D, (rows, cols), got shape {metres.shape}")
         rows, cols = metres.shape
         grid = Grid(rows, cols, spacing=spacing, x=x, y=y, datum=datum, crs=crs)
         return cls(to_counts(metres, datum), grid, synthetic)
@@ -99,22 +97,20 @@ class ArraySource:
 
         See :meth:`terrasim.source.Source.posts`.
         """
-        row = (
-            self._grid.clamp_rows(np.asarray(rows, dtype=np.int64) << level)
-            - self._grid.row
-        )
-        col = (
-            self._grid.clamp_cols(np.asarray(cols, dtype=np.int64) << level)
-            - self._grid.col
-        )
+        row = self._grid.clamp_rows(np.asarray(rows, dtype=np.int64) << level) - self._grid.row
+        col = self._grid.clamp_cols(np.asarray(cols, dtype=np.int64) << level) - self._grid.col
         return self._posts[row[:, None], col[None, :]]
 
     def block(self, key: Block) -> BlockData:
-        """One block, ready for the pool; its error is exact, rounded up to a count."""
+        """One block, ready for the pool."""
+        return read_block(self, key, self.bound(key))
+
+    def bound(self, key: Block) -> int:
+        """The block's error [counts]: exact, rounded up to a count, measured once."""
         error = self._errors.get(key)
         if error is None:
             error = self._errors[key] = _block_error(self, key)
-        return read_block(self, key, error)
+        return error
 
     def read_rows(self, row: int, count: int) -> Counts:
         """Rows ``row`` to ``row + count - 1`` counted from the southern edge."""
@@ -142,17 +138,13 @@ def _block_error(source: ArraySource, key: Block) -> int:
     wide = min(cells, col1 - col0)
     high = max(1, cells // wide)
     return max(
-        _cells_error(
-            source, key.level, row, col, min(high, row1 - row), min(wide, col1 - col)
-        )
+        _cells_error(source, key.level, row, col, min(high, row1 - row), min(wide, col1 - col))
         for row in range(row0, row1, high)
         for col in range(col0, col1, wide)
     )
 
 
-def _cells_error(
-    source: ArraySource, level: int, row: int, col: int, rows: int, cols: int
-) -> int:
+def _cells_error(source: ArraySource, level: int, row: int, col: int, rows: int, cols: int) -> int:
     """The same over a rectangle of cells, all of whose level-0 posts fit in memory."""
     step = 1 << level
     fine_rows = (np.arange(rows)[:, None] + row) * step + np.arange(step + 1)
