@@ -6,10 +6,22 @@ let things roll on it. Heavy libraries are imported only by what needs them.
 
 from importlib.metadata import PackageNotFoundError, version
 
+from terrasim.agent import Agent
+from terrasim.analytic import Cone, Flat, Plane, Sine
+from terrasim.apply import apply
 from terrasim.array_source import ArraySource
 from terrasim.errors import InputError, RunError
+from terrasim.fractal import Fractal
 from terrasim.grid import Block, Grid
+from terrasim.ledger import Ledger
+from terrasim.mirror import Mirrored
+from terrasim.needs import Boxes, Disc
 from terrasim.query import Sample, SurfaceSample, sample, sample_all
+from terrasim.refine import Refined
+from terrasim.resample import resample_power_of_two
+from terrasim.source import Source
+from terrasim.stamps import Crater, Gaussian
+from terrasim.store import open_store
 from terrasim.terrain import Terrain
 
 try:
@@ -18,15 +30,32 @@ except PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0"
 
 __all__ = [
+    "Agent",
     "ArraySource",
     "Block",
+    "Boxes",
+    "Cone",
+    "Crater",
+    "Disc",
+    "Flat",
+    "Fractal",
+    "Gaussian",
     "Grid",
     "InputError",
+    "Ledger",
+    "Mirrored",
+    "Plane",
+    "Refined",
     "RunError",
     "Sample",
+    "Sine",
+    "Source",
     "SurfaceSample",
     "Terrain",
     "__version__",
+    "apply",
+    "open_store",
+    "resample_power_of_two",
     "sample",
     "sample_all",
 ]

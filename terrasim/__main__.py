@@ -1,0 +1,5 @@
+"""``python -m terrasim`` is the command ``terrasim``."""
+
+from terrasim.cli import main
+
+main()
