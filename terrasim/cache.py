@@ -60,7 +60,11 @@ class Cache:
         self._top = frozenset(top)
         self.capacity = layers - len(top)
         """Blocks the pool can hold beside the coarsest level."""
-        self._bring(top, set(top))
+        try:
+            self._bring(top, set(top))
+        except BaseException:
+            self._loader.close()
+            raise
         for key in top:
             self.required.set(key, self._layer[key])
         self._publish()
@@ -76,8 +80,8 @@ class Cache:
         self._tick += 1
         for key in self._needed - needed - self._top:
             self.required.clear(key)
-        added = needed - self._needed
-        self._needed = needed
+        # Only what the table holds, in case reading the rest fails.
+        self._needed &= needed
         missing = [key for key in keys if key not in self._layer]
         self.counters.hits += len(needed) - len(missing)
         if missing:
@@ -87,8 +91,9 @@ class Cache:
             self._bring(missing, needed)
             self.counters.stall_ms += (time.perf_counter() - start) * 1e3
         self._last_used[[self._layer[key] for key in needed]] = self._tick
-        for key in added:
+        for key in needed - self._needed:
             self.required.set(key, self._layer[key])
+        self._needed = needed
         for key in self._raised:
             error = self._bounds[self._layer[key]][2]
             self.counters.coarsened_error = max(self.counters.coarsened_error, error)
@@ -101,7 +106,8 @@ class Cache:
         """
         wanted: dict[Block, None] = {}
         for need in needs:
-            wanted.update(dict.fromkeys(need.blocks(self.grid, need.level)))
+            level = min(need.level, self.grid.top)
+            wanted.update(dict.fromkeys(need.blocks(self.grid, level)))
         beside = [key for key in wanted if key not in self._needed and key not in self._top]
         self._wanted = beside[: max(0, self.capacity - len(self._needed - self._top))]
         held = [self._layer[key] for key in self._wanted if key in self._layer]
@@ -118,19 +124,11 @@ class Cache:
         keep = self._needed.union(self._wanted)
         self._loader.drop(keep)
         self._admit_arrived()
-        ready = [key for key in self._loader.ready() if key not in self._layer]
-        for placed, key in enumerate(ready):
-            spent = (time.perf_counter() - start) * 1e3
-            if placed and spent + self._worst_place_ms > budget_ms:
-                break
-            layer = self._free_layer(keep)
-            if layer is None:
-                break
-            self._place(key, layer, urgent=False)
-            took = (time.perf_counter() - start) * 1e3 - spent
-            self._worst_place_ms = max(took, 0.9 * self._worst_place_ms)
+        try:
+            self._place_ready(keep, start, budget_ms)
+        finally:
+            self._publish()
         self._ask_wanted()
-        self._publish()
         spent = (time.perf_counter() - start) * 1e3
         self.counters.queue_ms += spent
         self.counters.queue_over += spent > budget_ms
@@ -145,15 +143,16 @@ class Cache:
         Raises:
             RunError: If there are more than the pool holds.
         """
-        keys = list(dict.fromkeys(blocks))
-        held = set(keys)
-        if len(held - self._top) > self.capacity:
+        keys = list(blocks)
+        held = dict.fromkeys(keys)
+        beside = len(held.keys() - self._top)
+        if beside > self.capacity:
             raise RunError(
-                f"{len(held)} blocks are needed at once but the pool holds {self.capacity}; "
+                f"{beside} blocks are needed at once but the pool holds {self.capacity}; "
                 "raise pool_bytes"
             )
         self._tick += 1
-        self._bring([key for key in keys if key not in self._layer], held)
+        self._bring([key for key in held if key not in self._layer], set(held))
         layers = [self._layer[key] for key in keys]
         self._last_used[layers] = self._tick
         self._publish()
@@ -216,7 +215,8 @@ class Cache:
         while len(keys := dict.fromkeys(key for keys in found for key in keys)) > self.capacity:
             if len(keys.keys() - self._top) <= self.capacity:
                 break
-            worst = min(range(len(needs)), key=lambda i: (levels[i], -len(found[i]), i))
+            some = (i for i, keys_i in enumerate(found) if keys_i)
+            worst = min(some, key=lambda i: (levels[i], -len(found[i]), i))
             levels[worst] += 1
             found[worst] = needs[worst].blocks(self.grid, levels[worst])
             self.counters.coarsened += 1
@@ -226,12 +226,18 @@ class Cache:
 
     def _bring(self, missing: list[Block], keep: set[Block]) -> None:
         """Wait for blocks and place them, each as soon as it has been read."""
-        for key in missing:
-            if key in self._arriving:
-                layer, event = self._arriving.pop(key)
-                self.pool.await_on_stream(event)
-                self._admit(key, layer)
+        self._admit_awaited([key for key in missing if key in self._arriving])
         left = [key for key in missing if key not in self._layer]
+        if left:
+            # Copies end in the order they began, so that the rest is there before what is left.
+            self._admit_awaited(list(self._arriving))
+        try:
+            self._load(left, keep)
+        finally:
+            self._publish()
+
+    def _load(self, left: list[Block], keep: set[Block]) -> None:
+        """Read blocks, as many at a time as the loader has slots, and place them in their order."""
         for first in range(0, len(left), self._loader.slots):
             part = left[first : first + self._loader.slots]
             for key in part:
@@ -241,6 +247,20 @@ class Cache:
                 if place is None:
                     raise RunError("the pool is full of required blocks; raise pool_bytes")
                 self._place(key, place, urgent=True)
+
+    def _place_ready(self, keep: set[Block], start: float, budget_ms: float) -> None:
+        """Place what has been read while the budget lasts."""
+        ready = [key for key in self._loader.ready() if key in keep and key not in self._layer]
+        for placed, key in enumerate(ready):
+            spent = (time.perf_counter() - start) * 1e3
+            if placed and spent + self._worst_place_ms > budget_ms:
+                return
+            layer = self._free_layer(keep)
+            if layer is None:
+                return
+            self._place(key, layer, urgent=False)
+            took = (time.perf_counter() - start) * 1e3 - spent
+            self._worst_place_ms = max(took, 0.9 * self._worst_place_ms)
 
     def _place(self, key: Block, layer: int, *, urgent: bool) -> None:
         """Write a block, read by now or waited for, into a layer."""
@@ -272,17 +292,30 @@ class Cache:
                 del self._arriving[key]
                 self._admit(key, layer)
 
+    def _admit_awaited(self, keys: list[Block]) -> None:
+        """Let the step's stream wait for blocks whose copies are under way."""
+        for key in keys:
+            layer, event = self._arriving.pop(key)
+            self.pool.await_on_stream(event)
+            self._admit(key, layer)
+
     def _free_layer(self, keep: set[Block]) -> int | None:
         """A layer to write to, its block evicted; None if every block is to be kept."""
         if self._free:
             return self._free.pop()
         for layer in np.argsort(self._last_used, kind="stable"):
             key = self._key[layer]
-            if key is None or key in self._top or key in keep:
+            if key is None or key in self._top or key in keep or key in self._needed:
                 continue
             self._evict(key, int(layer))
             return int(layer)
-        return None
+        # What the last step required goes last, in an order that no disk's speed can change.
+        key = max(self._needed - keep - self._top, default=None)
+        if key is None:
+            return None
+        layer = self._layer[key]
+        self._evict(key, layer)
+        return layer
 
     def _evict(self, key: Block, layer: int) -> None:
         if key in self._dirty:
