@@ -28,17 +28,18 @@ def layers_for(grid: Grid, pool_bytes: int) -> int:
         InputError: If the pool cannot hold the coarsest level and the four blocks that meet at a
             corner, or passes what an int32 can address.
     """
-    total = sum(
+    counts = [
         (span.row1 - span.row0) * (span.col1 - span.col0)
         for span in (grid.blocks(level) for level in range(grid.levels))
-    )
+    ]
+    total = sum(counts)
     layers = min(pool_bytes // BLOCK_BYTES, total)
     if layers > MAX_LAYERS:
         raise InputError(
             f"pool of {pool_bytes} bytes is too large: at most {MAX_LAYERS * BLOCK_BYTES} bytes "
             "can be addressed; ask for less"
         )
-    least = min(8, total)
+    least = min(total, max(8, counts[grid.top] + 4))
     if layers < least:
         raise InputError(
             f"pool of {pool_bytes} bytes is too small: it must hold {least} blocks, "

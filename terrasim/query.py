@@ -171,6 +171,8 @@ def _complete(
         bad = int(np.flatnonzero(state & NOT_A_NUMBER)[0])
         raise InputError(f"points[{bad}] must be finite, got {tuple(asked.numpy()[bad].tolist())}")
     if seen & COARSER and wait:
+        # What the first pass read was used before what is brought in now.
+        terrain.cache.note_used()
         late = np.flatnonzero(state & COARSER)
         points = asked.numpy()[late]
         # As many blocks at a time as the pool holds.
@@ -207,7 +209,8 @@ def _groups(
     first = start = 0
     for i, (row0, row1, col0, col1) in enumerate(ranges.tolist()):
         new = [Block(level, r, c) for r in range(row0, row1 + 1) for c in range(col0, col1 + 1)]
-        if blocks and len({*blocks, *new}) > terrain.cache.capacity:
+        added = sum(key not in blocks for key in new)
+        if blocks and len(blocks) + added > terrain.cache.capacity:
             yield order[start:first], list(blocks)
             blocks, start = {}, first
         blocks.update(dict.fromkeys(new))

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import ABSENT, HEADER, PAGE, PAGE_SHIFT
 from terrasim.kernels.transfer import scatter
 
 _PAGE_ENTRIES = PAGE * PAGE
+_MOST_ENTRIES = 2**31 - 1
 
 
 def _directory_shape(grid: Grid, level: int) -> tuple[int, int, int, int]:
@@ -24,12 +26,22 @@ def _directory_shape(grid: Grid, level: int) -> tuple[int, int, int, int]:
 
 
 def table_entries(grid: Grid, layers: int) -> int:
-    """Length of a table: header, directories and as many pages as ``layers`` blocks can touch."""
+    """Length of a table: header, directories and as many pages as ``layers`` blocks can touch.
+
+    Raises:
+        InputError: If an int32 cannot address them.
+    """
     pages = 0
     for level in range(grid.levels):
         _, _, rows, cols = _directory_shape(grid, level)
         pages += rows * cols
-    return HEADER * grid.levels + pages + (1 + min(layers, pages)) * _PAGE_ENTRIES
+    entries = HEADER * grid.levels + pages + (1 + min(layers, pages)) * _PAGE_ENTRIES
+    if entries > _MOST_ENTRIES:
+        raise InputError(
+            f"a terrain of {grid.rows} x {grid.cols} posts needs a pointer table of {entries} "
+            f"entries: at most {_MOST_ENTRIES} can be addressed; take fewer posts"
+        )
+    return entries
 
 
 class Table:
