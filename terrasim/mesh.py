@@ -216,8 +216,9 @@ def _finer_posts(
 def _between(start: int, end: int, level: int, coarser: int) -> Posts:
     """Level-0 indices from start to before end of a level's posts that a coarser level lacks."""
     step = 1 << level
-    line: Posts = np.arange(-(-start // step) * step, end, step, dtype=np.int64)
-    return line[(line & ((1 << coarser) - 1)) != 0]
+    line = np.arange(-(-start // step) * step, end, step, dtype=np.int64)
+    missing: Posts = line[(line & ((1 << coarser) - 1)) != 0]
+    return missing
 
 
 def _border_cell(tile: Tile, side: str, row: int, col: int) -> tuple[int, int, str]:

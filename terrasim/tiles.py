@@ -51,7 +51,7 @@ class Choice:
 
 
 def choose_tiles(
-    grid: Grid, focus: Sequence[Span], *, most_cells: int, detail: float = 1.0
+    grid: Grid, focus: Sequence[Span], *, most_cells: int, detail: float = 0.5
 ) -> Choice:
     """Cover a terrain with tiles: the finest level inside the focus, coarser with the distance.
 
@@ -63,7 +63,7 @@ def choose_tiles(
         focus: Rectangles of level-0 cells that are to be shown finest; where there are none, the
             whole terrain is shown at one level.
         most_cells: Most cells of all tiles together.
-        detail: How fast detail falls off; at least 1, so that neighbours differ by few levels.
+        detail: How far detail reaches beyond the focus; smaller makes fewer cells.
 
     Raises:
         InputError: If not even the coarsest level keeps to ``most_cells``.

@@ -35,8 +35,8 @@ class MeshPrim:
     """Points of each triangle, int32, shape ``(triangles, 3)``."""
     points: Mapping[float, Floats]
     """Points [m] by time code, float32, shape ``(count, 3)``; one entry for ground at rest."""
-    colours: Floats
-    """Colour of each point, linear RGB, float32, shape ``(count, 3)``."""
+    colours: Mapping[float, Floats]
+    """Colour of each point by time code, RGB, float32, shape ``(count, 3)``, likewise."""
 
 
 @dataclass(frozen=True)
@@ -129,17 +129,24 @@ def _add_mesh(stage: Any, mesh: MeshPrim) -> None:
     prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.triangles.reshape(-1)))
     # The triangles are the surface; nothing is to be smoothed.
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    colours = prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-    colours.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.colours)))
-    points, extent = prim.CreatePointsAttr(), prim.CreateExtentAttr()
-    if len(mesh.points) == 1:
-        ((_, rest),) = mesh.points.items()
-        points.Set(Vt.Vec3fArray.FromNumpy(rest))
-        extent.Set(_extent(rest))
-        return
-    for time, moved in sorted(mesh.points.items()):
-        points.Set(Vt.Vec3fArray.FromNumpy(moved), time)
-        extent.Set(_extent(moved), time)
+    _author(prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex), mesh.colours)
+    _author(prim.CreatePointsAttr(), mesh.points)
+    extents = {time: _extent(points) for time, points in mesh.points.items()}
+    _author(prim.CreateExtentAttr(), extents)
+
+
+def _author(attribute: Any, values: Mapping[float, Any]) -> None:
+    """Set an attribute's one value, or its time samples."""
+    from pxr import Vt
+
+    for time, value in sorted(values.items()):
+        array = value
+        if isinstance(value, np.ndarray):
+            array = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(value))
+        if len(values) == 1:
+            attribute.Set(array)
+        else:
+            attribute.Set(array, time)
 
 
 def _add_balls(stage: Any, balls: BallPrims) -> None:
@@ -148,6 +155,7 @@ def _add_balls(stage: Any, balls: BallPrims) -> None:
     place = UsdGeom.Xform.Define(stage, "/World/Balls")
     UsdGeom.XformCommonAPI(place).SetTranslate(Gf.Vec3d(*balls.origin))
     instancer = UsdGeom.PointInstancer.Define(stage, "/World/Balls/Instances")
+    UsdGeom.Scope.Define(stage, "/World/Balls/Instances/Prototypes")
     ball = UsdGeom.Sphere.Define(stage, "/World/Balls/Instances/Prototypes/Ball")
     ball.CreateRadiusAttr(1.0)
     ball.CreateExtentAttr(_extent(np.array([[-1.0] * 3, [1.0] * 3], np.float32)))
@@ -157,11 +165,12 @@ def _add_balls(stage: Any, balls: BallPrims) -> None:
     instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(np.zeros(count, np.int32)))
     scales = np.repeat(balls.radii[:, None], 3, axis=1).astype(np.float32)
     instancer.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(scales))
-    positions, extent = instancer.CreatePositionsAttr(), instancer.CreateExtentAttr()
-    for time, centres in sorted(balls.positions.items()):
-        positions.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(centres)), time)
-        reach = np.concatenate([centres - scales, centres + scales])
-        extent.Set(_extent(reach), time)
+    extents = {
+        time: _extent(np.concatenate([centres - scales, centres + scales]))
+        for time, centres in balls.positions.items()
+    }
+    _author(instancer.CreatePositionsAttr(), balls.positions)
+    _author(instancer.CreateExtentAttr(), extents)
 
 
 def _add_lights(stage: Any) -> None:

@@ -19,7 +19,7 @@ HALVES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 def square(name: str, east: float = 0.0, changes: list[Any] | None = None) -> MeshPrim:
     """Two triangles of ground."""
     points = sampled(SQUARE, changes or [], CLOCK.start, 1.0)
-    return MeshPrim(name, (east, 0.0, 0.0), HALVES, points, np.ones((4, 3), np.float32))
+    return MeshPrim(name, (east, 0.0, 0.0), HALVES, points, {0.0: np.ones((4, 3), np.float32)})
 
 
 def dropped(count: int = 3) -> BallPrims:

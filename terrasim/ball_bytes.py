@@ -1,0 +1,13 @@
+"""Device memory of a ball."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from terrasim.kernels.balls import Material, Tally
+
+BALL_BYTES: int = sum(
+    wp.types.type_size_in_bytes(dtype)
+    for dtype in (wp.vec2i, wp.vec2d, wp.float64, wp.vec3d, Material, Tally)
+)
+"""Bytes of the arrays of :class:`terrasim.balls.Balls`, a ball."""

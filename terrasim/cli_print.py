@@ -1,0 +1,100 @@
+"""What commands print for people."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def print_tree(values: dict[str, Any], console: Console | None = None) -> None:
+    """Nested values, one a line."""
+    console = console or Console()
+    for path, value in _leaves(values, ""):
+        console.print(f"{path}: {value}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_plan(plan: dict[str, Any], console: Console | None = None) -> None:
+    """A plan as tables."""
+    console = console or Console()
+    grid = plan["grid"]
+    console.print(
+        f"{plan['scenario']} on {plan['device']}: {grid['rows']} x {grid['cols']} posts, "
+        f"{grid['spacing']:g} m apart; {plan['steps']} steps",
+        markup=False,
+    )
+    if plan["synthetic"]:
+        console.print(f"synthetic: {plan['synthetic']}", markup=False)
+    parts = Table("part", "used", "why", "imports", "kernels", title="Parts", title_justify="left")
+    for part in plan["parts"]:
+        parts.add_row(
+            part["name"],
+            "yes" if part["used"] else "left out",
+            part["why"],
+            ", ".join(part["modules"]) if part["used"] else "",
+            ", ".join(_short(name) for name in part["kernels"]) if part["used"] else "",
+        )
+    console.print(parts, markup=False)
+    buffers = Table("buffer", "part", "place", title="Buffers", title_justify="left")
+    buffers.add_column("bytes", justify="right")
+    for buffer in plan["buffers"]:
+        buffers.add_row(buffer["name"], buffer["part"], buffer["place"], f"{buffer['bytes']:,}")
+    buffers.add_section()
+    buffers.add_row("all on the device", "", "", f"{plan['device_bytes']:,}")
+    buffers.add_row("all on the host", "", "", f"{plan['host_bytes']:,}")
+    console.print(buffers)
+
+
+def print_run(record: dict[str, Any], console: Console | None = None) -> None:
+    """A run in a few lines."""
+    console = console or Console()
+    console.print(f"{record['name']}: {record['folder']}", markup=False, soft_wrap=True)
+    stages = Table("stage", title="Timing", title_justify="left")
+    stages.add_column("wall [s]", justify="right")
+    for stage in record["timings"]["stages"]:
+        stages.add_row(stage["name"], f"{stage['wall_s']:.3f}")
+    stages.add_section()
+    stages.add_row("all", f"{record['timings']['wall_s']:.3f}")
+    console.print(stages)
+    errors = Table("error", title="How wrong it is", title_justify="left")
+    errors.add_column("[m]", justify="right")
+    errors.add_column("cost [s]", justify="right")
+    for error in record["errors"]:
+        value = "-" if error["metres"] is None else f"{error['metres']:.3g}"
+        errors.add_row(error["name"], value, f"{error['cost_s']:.3f}")
+    console.print(errors)
+    for name in record["files"]:
+        console.print(f"  {record['folder']}/{name}", markup=False, soft_wrap=True)
+
+
+def print_bench(result: dict[str, Any], console: Console | None = None) -> None:
+    """Measured ratios as a table."""
+    console = console or Console()
+    table = Table("name", title=str(result["device"]), title_justify="left")
+    for column in ("value", "unit", "compared with", "ratio"):
+        table.add_column(column, justify="left" if column in {"unit", "compared with"} else "right")
+    for row in result["rows"]:
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
+        table.add_row(
+            row["name"], f"{row['value']:.4g}", row["unit"], str(row["compared_with"] or ""), ratio
+        )
+    console.print(table)
+
+
+def _leaves(values: Any, path: str) -> list[tuple[str, Any]]:
+    if isinstance(values, dict):
+        items = values.items()
+    elif isinstance(values, list) and any(isinstance(one, dict) for one in values):
+        items = {f"[{i}]": one for i, one in enumerate(values)}.items()
+    else:
+        return [(path, values)]
+    found = []
+    for key, value in items:
+        name = f"{path}{key}" if str(key).startswith("[") or not path else f"{path}.{key}"
+        found += _leaves(value, name)
+    return found
+
+
+def _short(module: str) -> str:
+    return module.removeprefix("terrasim.")

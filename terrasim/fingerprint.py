@@ -1,0 +1,33 @@
+"""Hashes that say whether two runs came to the same end, to the bit."""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+
+import numpy as np
+
+from terrasim.terrain import Terrain
+
+
+def hash_heights(terrain: Terrain) -> str:
+    """Hash of all ground that differs from its source, at every level, 32 hex digits.
+
+    It does not depend on which blocks are resident: what was edited is written back first.
+    """
+    terrain.cache.flush()
+    digest = blake2b(digest_size=16)
+    for key in terrain.ground.edited:
+        data = terrain.ground.block(key)
+        bounds = [data.lowest, data.highest, data.error]
+        digest.update(np.array([*key, *bounds], dtype="<i8").tobytes())
+        digest.update(data.posts.astype("<i4").tobytes())
+    return digest.hexdigest()
+
+
+def hash_arrays(*arrays: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> str:
+    """Hash of some arrays with their types and shapes, 32 hex digits."""
+    digest = blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(f"{array.dtype.str} {array.shape} ".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
