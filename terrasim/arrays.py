@@ -41,8 +41,7 @@ def vectors(values: Any, width: int, device: Any, name: str) -> Any:
     vector = wp.types.vector(length=width, dtype=wp.float64)
     kind = kind_of(values)
     if kind == "warp":
-        values = _flat(values, width, name)
-        if values.dtype is wp.float64 and values.device == device and values.is_contiguous:
+        if _lies_ready(values, width, device):
             return wp.array(
                 ptr=values.ptr,
                 dtype=vector,
@@ -54,11 +53,13 @@ def vectors(values: Any, width: int, device: Any, name: str) -> Any:
         values = values.numpy()
     elif kind == "torch":
         _check_shape(tuple(values.shape), width, name)
+        if values.is_complex():
+            raise InputError(f"{name} must be an array of numbers: got {values.dtype}")
         values = values.detach().double().contiguous()
         return wp.from_torch(values, dtype=vector).to(device)
-    table = np.ascontiguousarray(_as_float64(values, name))
+    table = _as_float64(values, name)
     _check_shape(table.shape, width, name)
-    return wp.array(table, dtype=vector, device=device, copy=False)
+    return wp.array(np.ascontiguousarray(table), dtype=vector, device=device, copy=False)
 
 
 def answer(array: Any, kind: Kind) -> Any:
@@ -71,27 +72,26 @@ def answer(array: Any, kind: Kind) -> Any:
 
 
 def _as_float64(values: Any, name: str) -> Any:
+    got: object
     try:
-        return np.asarray(values, dtype=np.float64)
+        table = np.asarray(values)
+        # NumPy would make numbers of texts, of dates and of one half of complex numbers.
+        if table.dtype.kind in "biufO":
+            return np.asarray(table, dtype=np.float64)
+        got = f"got {table.dtype}"
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of numbers: {error}") from None
+        got = error
+    raise InputError(f"{name} must be an array of numbers: {got}")
 
 
-def _flat(values: Any, width: int, name: str) -> Any:
-    """A Warp array of vectors as one of scalars, shape ``(count, width)``, sharing memory."""
-    if hasattr(values.dtype, "_wp_scalar_type_") and values.ndim == 1:
-        scalar = values.dtype._wp_scalar_type_
-        if values.is_contiguous and values.dtype._length_ == width:
-            return wp.array(
-                ptr=values.ptr,
-                dtype=scalar,
-                shape=(values.shape[0], width),
-                device=values.device,
-                deleter=None,
-                copy=False,
-            )
-    _check_shape(tuple(values.shape), width, name)
-    return values
+def _lies_ready(values: Any, width: int, device: Any) -> bool:
+    """Whether a Warp array is float64 on the device, point after point."""
+    if values.device != device or not values.is_contiguous:
+        return False
+    if values.ndim == 2:
+        return values.dtype is wp.float64 and values.shape[1] == width
+    scalar = getattr(values.dtype, "_wp_scalar_type_", None)
+    return values.ndim == 1 and scalar is wp.float64 and values.dtype._length_ == width
 
 
 def _check_shape(shape: tuple[int, ...], width: int, name: str) -> None:
