@@ -85,24 +85,42 @@ def fraction(index: int, level: int, offset: wp.float64) -> wp.float64:
 
 
 @wp.func
-def facet_of(
-    near: int, mid: int, far: int, level: int, layer: int, u: wp.float64, v: wp.float64
+def plane_of(
+    near: int,
+    mid: int,
+    far: int,
+    right: int,
+    larger: wp.float64,
+    smaller: wp.float64,
 ) -> Facet:
-    """The triangle through three posts, evaluated at a point of its cell."""
+    """The plane through a triangle's posts at ``larger`` along its first leg and ``smaller`` on.
+
+    ``right`` is 1 for the triangle of (x+, y-), whose first leg runs along x. Level and layer are
+    the caller's to fill in.
+    """
     facet = Facet()
-    facet.level = level
-    facet.layer = layer
     if near == _HOLE or mid == _HOLE or far == _HOLE:
         facet.state = _IN_HOLE
     else:
         first = wp.float64(wp.int64(mid) - wp.int64(near))
         second = wp.float64(wp.int64(far) - wp.int64(mid))
-        # wp.max and wp.min also look for NaN, which is refused before it comes here.
-        larger = wp.where(u >= v, u, v)
-        smaller = wp.where(u >= v, v, u)
         facet.height = wp.float64(near) + (first * larger + second * smaller)
-        facet.du = wp.where(u >= v, first, second)
-        facet.dv = wp.where(u >= v, second, first)
+        facet.du = wp.where(right == 1, first, second)
+        facet.dv = wp.where(right == 1, second, first)
+    return facet
+
+
+@wp.func
+def facet_of(
+    near: int, mid: int, far: int, level: int, layer: int, u: wp.float64, v: wp.float64
+) -> Facet:
+    """The triangle under a point of its cell, evaluated there."""
+    # wp.max and wp.min also look for NaN, which is refused before it comes here.
+    larger = wp.where(u >= v, u, v)
+    smaller = wp.where(u >= v, v, u)
+    facet = plane_of(near, mid, far, wp.where(u >= v, 1, 0), larger, smaller)
+    facet.level = level
+    facet.layer = layer
     return facet
 
 

@@ -10,6 +10,7 @@ from terrasim.agent import Agent
 from terrasim.analytic import Cone, Flat, Plane, Sine
 from terrasim.apply import apply
 from terrasim.array_source import ArraySource
+from terrasim.balls import Balls, step
 from terrasim.errors import InputError, RunError
 from terrasim.fractal import Fractal
 from terrasim.grid import Block, Grid
@@ -17,6 +18,7 @@ from terrasim.ledger import Ledger
 from terrasim.mirror import Mirrored
 from terrasim.needs import Boxes, Disc
 from terrasim.query import Sample, SurfaceSample, sample, sample_all
+from terrasim.raycast import RayHits, raycast
 from terrasim.refine import Refined
 from terrasim.resample import resample_power_of_two
 from terrasim.source import Source
@@ -32,6 +34,7 @@ except PackageNotFoundError:  # a checkout that was never installed
 __all__ = [
     "Agent",
     "ArraySource",
+    "Balls",
     "Block",
     "Boxes",
     "Cone",
@@ -45,6 +48,7 @@ __all__ = [
     "Ledger",
     "Mirrored",
     "Plane",
+    "RayHits",
     "Refined",
     "RunError",
     "Sample",
@@ -55,7 +59,9 @@ __all__ = [
     "__version__",
     "apply",
     "open_store",
+    "raycast",
     "resample_power_of_two",
     "sample",
     "sample_all",
+    "step",
 ]

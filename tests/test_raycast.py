@@ -1,0 +1,240 @@
+"""Rays: exact on the triangles, watertight, and the same whatever is resident."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from terrasim.analytic import Plane
+from terrasim.array_source import ArraySource
+from terrasim.counts import HOLE
+from terrasim.errors import InputError
+from terrasim.grid import Grid
+from terrasim.kernels.raycast import FROM_BELOW, MISSED
+from terrasim.kernels.surface import COARSER
+from terrasim.query import sample
+from terrasim.raycast import raycast
+from terrasim.terrain import Terrain
+
+Table = npt.NDArray[np.float64]
+DOWN = np.array([[0.0, 0.0, -1.0]])
+
+
+def rough(rows: int, cols: int, grid: Grid | None = None, seed: int = 1) -> ArraySource:
+    """Random heights of a few metres."""
+    posts = np.random.default_rng(seed).integers(-300_000, 300_000, (rows, cols))
+    return ArraySource(posts.astype(np.int32), grid or Grid(rows, cols, 1.5))
+
+
+def triangles(source: ArraySource) -> Table:
+    """All triangles in world coordinates, shape ``(count, 3, 3)``; none where a post is a hole."""
+    grid = source.grid
+    rows, cols = np.arange(grid.rows) + grid.row, np.arange(grid.cols) + grid.col
+    height = source.posts(0, rows, cols) * 1e-5 + grid.datum
+    x, y = np.meshgrid(grid.post_x(cols), grid.post_y(rows))
+    place = np.stack([x, y, height], axis=-1)
+    near, far = place[:-1, :-1], place[1:, 1:]
+    found = [np.stack([near, mid, far], axis=-2) for mid in (place[:-1, 1:], place[1:, :-1])]
+    table = np.concatenate([part.reshape(-1, 3, 3) for part in found])
+    keep: Table = table[(table[:, :, 2] > HOLE * 1e-5 + 1.0 + grid.datum).all(axis=1)]
+    return keep
+
+
+def brute_force(corners: Table, origin: Table, direction: Table, longest: float) -> float:
+    """Distance of the first triangle that a ray meets: Moeller and Trumbore's test on all."""
+    way = direction / np.linalg.norm(direction)
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(way, second)
+    inverse = 1.0 / np.einsum("ij,ij->i", first, across)
+    away = origin - corners[:, 0]
+    u = np.einsum("ij,ij->i", away, across) * inverse
+    along = np.cross(away, first)
+    v = (along @ way) * inverse
+    t = np.einsum("ij,ij->i", second, along) * inverse
+    hit = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12) & (t >= 0.0) & (t <= longest)
+    return float(t[hit].min()) if hit.any() else np.inf
+
+
+def shots(count: int, side: float, seed: int = 2) -> tuple[Table, Table]:
+    """Rays in all directions from in, above, below and beside a terrain; many graze it."""
+    rng = np.random.default_rng(seed)
+    origins = np.column_stack(
+        [rng.uniform(-0.3 * side, 1.3 * side, (count, 2)), rng.uniform(-5.0, 12.0, count)]
+    )
+    directions = rng.normal(0.0, 1.0, (count, 3)) * [1.0, 1.0, 0.3]
+    return origins, directions
+
+
+def test_hits_are_those_of_all_triangles_tried_one_by_one() -> None:
+    """Thousands of rays on rough ground with holes: same hits, distances to rounding."""
+    source = rough(40, 34)
+    posts = source.posts(0, np.arange(40), np.arange(34)).copy()
+    posts[7, 9] = posts[20:23, 15] = HOLE
+    source = ArraySource(posts, source.grid)
+    corners = triangles(source)
+    origins, directions = shots(3000, 55.0)
+    with Terrain(source) as terrain:
+        found = raycast(terrain, origins, directions, max_distance=90.0)
+    pairs = zip(origins, directions, strict=True)
+    expected = np.array([brute_force(corners, *pair, 90.0) for pair in pairs])
+    assert 400 < np.isfinite(expected).sum() < 2600
+    np.testing.assert_allclose(found.distance, expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_array_equal(np.isinf(found.distance), (found.state & MISSED) > 0)
+
+
+def test_rays_aimed_at_posts_and_edges_never_slip_through() -> None:
+    """From above, a hair under every kind of shared place: not one is missed."""
+    rng = np.random.default_rng(3)
+    count = 100_000
+    source = rough(130, 130, Grid(130, 130, 1.0))
+    cell = rng.integers(1, 128, (count, 2)).astype(np.float64)
+    along = rng.uniform(0.0, 1.0, count)
+    kind = rng.integers(0, 4, count)
+    target = cell + np.stack([along * (kind % 2 == 1), along * (kind >= 2)], axis=1)
+    with Terrain(source) as terrain:
+        height = sample(terrain, target).height
+        above = np.column_stack([rng.uniform(0.0, 129.0, (count, 2)), np.full(count, 60.0)])
+        # A ray that only touches a peak may pass it by a rounding: this one goes into the ground.
+        way = np.column_stack([target, height - 1e-7]) - above
+        found = raycast(terrain, above, way, max_distance=400.0)
+    assert not np.any(found.state & MISSED)
+    assert np.all(found.distance <= np.linalg.norm(way, axis=1) + 1e-9)
+
+
+def test_rays_along_axes_and_diagonals_meet_the_ground() -> None:
+    """Level rays that run exactly along rows, columns and the cells' own diagonals."""
+    heights = np.zeros((60, 60))
+    heights[:, 40:] = 5.0
+    heights[40:, :] = 5.0
+    source = ArraySource.from_metres(heights, spacing=1.0)
+    ways = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    starts = np.array([[3.0, 7.0, 2.5], [7.0, 3.0, 2.5], [4.0, 4.0, 2.5]])
+    with Terrain(source) as terrain:
+        found = raycast(terrain, starts, ways, max_distance=100.0)
+    np.testing.assert_allclose(found.distance, [36.5, 36.5, 35.5 * np.sqrt(2.0)], rtol=1e-14)
+
+
+def test_straight_down_is_sample_to_the_bit() -> None:
+    """The place of a hit lies on the surface, whatever the distance rounds to."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform(0.0, 448.0, (5000, 2))
+    with Terrain(rough(300, 300)) as terrain:
+        above = np.column_stack([points, np.full(len(points), 77.0)])
+        down = raycast(terrain, above, np.repeat(DOWN, len(points), 0), max_distance=100.0)
+        np.testing.assert_array_equal(down.point[:, 2], sample(terrain, points).height)
+        np.testing.assert_allclose(down.distance, 77.0 - down.point[:, 2], rtol=0.0, atol=1e-12)
+
+
+def test_from_below_the_ground_is_met_and_said_to_be() -> None:
+    """Upward from under the surface: the same place, with its state."""
+    points = np.array([[10.3, 20.9], [33.0, 12.5]])
+    with Terrain(rough(60, 60)) as terrain:
+        start = np.column_stack([points, np.full(2, -50.0)])
+        up = raycast(terrain, start, np.repeat(-DOWN, 2, 0), max_distance=100.0)
+        np.testing.assert_array_equal(up.point[:, 2], sample(terrain, points).height)
+    assert np.all(up.state == FROM_BELOW)
+
+
+def test_normals_and_levels_of_a_plane_are_exact() -> None:
+    """A plane that is exact in counts has one normal at every level."""
+    grid = Grid(1025, 1025, 1.0)
+    origins, directions = shots(500, 1000.0)
+    origins = np.clip(origins, 0.0, 1024.0)
+    origins[:, 2] = 900.0
+    directions[:, 2] = -1.0
+    expected = np.array([-0.25, 0.125, 1.0]) / np.linalg.norm([-0.25, 0.125, 1.0])
+    with Terrain(Plane(grid, slope_x=0.25, slope_y=-0.125)) as terrain:
+        for level in range(grid.levels):
+            found = raycast(terrain, origins, directions, max_distance=3000.0, level=level)
+            hit = np.isfinite(found.distance)
+            assert hit.sum() > 100
+            np.testing.assert_allclose(
+                found.normal[hit], np.broadcast_to(expected, (hit.sum(), 3)), atol=1e-12
+            )
+            assert set(found.level[hit]) == {level}
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_the_pool_the_threads_and_what_was_resident_change_no_bit(level: int) -> None:
+    """Eight blocks or all of them, one thread or three: the same hits."""
+    source = rough(1100, 1100, Grid(1100, 1100, 1.0, row=-500, col=-300))
+    origins, directions = shots(1500, 1100.0)
+    origins[:, :2] -= [300.0, 500.0]
+    directions[:, 2] *= 0.05
+    answers = []
+    for pool, threads in ((9, 1), (64, 3)):
+        with Terrain(source, pool_bytes=pool * 262_144, threads=threads) as terrain:
+            answers.append(raycast(terrain, origins, directions, max_distance=1500.0, level=level))
+    for name in ("distance", "point", "normal", "error", "level", "state"):
+        np.testing.assert_array_equal(getattr(answers[0], name), getattr(answers[1], name))
+    assert np.isfinite(answers[0].distance).sum() > 100
+
+
+def test_without_waiting_the_finest_resident_level_stands_in_and_is_counted() -> None:
+    """Nothing but the coarsest level is there at first."""
+    with Terrain(rough(1000, 1000, Grid(1000, 1000, 1.0))) as terrain:
+        start = np.array([[100.0, 100.0, 50.0]])
+        found = raycast(terrain, start, [[1.0, 0.5, -0.5]], max_distance=500.0, wait=False)
+        assert found.state[0] == COARSER
+        assert found.level[0] == terrain.grid.top
+        assert terrain.cache.counters.fallbacks == 1
+        exact = raycast(terrain, start, [[1.0, 0.5, -0.5]], max_distance=500.0)
+        assert exact.state[0] == 0
+
+
+def test_a_scene_moved_by_whole_blocks_gives_the_same_bits() -> None:
+    """At 2^23 m from the origin, with starts that float64 holds exactly in both places."""
+    far = 1 << 23
+    origins, directions = shots(800, 300.0)
+    origins[:, :2] = np.round(origins[:, :2] * 1024.0) / 1024.0
+    found = []
+    for moved in (0, far):
+        source = rough(300, 300, Grid(300, 300, 1.0, row=moved, col=moved))
+        with Terrain(source) as terrain:
+            start = origins + np.array([moved, moved, 0.0])
+            found.append(raycast(terrain, start, directions, max_distance=400.0))
+    np.testing.assert_array_equal(found[0].distance, found[1].distance)
+
+
+def test_other_kinds_of_arrays_come_back_in_kind() -> None:
+    """Warp in, Warp out; float32 is widened."""
+    import warp as wp
+
+    origins = np.array([[5.0, 5.0, 30.0]], dtype=np.float32)
+    with Terrain(rough(20, 20)) as terrain:
+        plain = raycast(terrain, origins, DOWN, max_distance=90.0)
+        asked = wp.array(origins, dtype=wp.vec3f, device="cpu")
+        kind = raycast(terrain, asked, wp.array(DOWN, dtype=wp.vec3d), max_distance=90.0)
+    assert isinstance(kind.distance, wp.array)
+    np.testing.assert_array_equal(kind.distance.numpy(), plain.distance)
+    np.testing.assert_array_equal(kind.point.numpy(), plain.point)
+
+
+def test_no_rays_are_no_hits() -> None:
+    """An empty question has an empty answer."""
+    with Terrain(rough(20, 20)) as terrain:
+        found = raycast(terrain, np.zeros((0, 3)), np.zeros((0, 3)), max_distance=1.0)
+    assert found.distance.shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("origins", "directions", "options", "words"),
+    [
+        ([[0.0, 0.0, np.nan]], DOWN, {}, r"origins\[0\] must be finite"),
+        ([[0.0, 0.0, 1.0]], [[0.0, np.inf, 0.0]], {}, r"directions\[0\] must be finite"),
+        ([[0.0, 0.0, 1.0]], [[0.0, 0.0, 0.0]], {}, r"directions\[0\] must not be zero"),
+        ([[0.0, 0.0]], DOWN, {}, r"origins must have shape \(count, 3\)"),
+        ([[0.0, 0.0, 1.0]] * 2, DOWN, {}, "2 origins but 1 directions"),
+        ([[0.0, 0.0, 1.0]], DOWN, {"max_distance": 0.0}, "max_distance must be above 0"),
+        ([[0.0, 0.0, 1.0]], DOWN, {"max_distance": np.inf}, "max_distance must be above 0"),
+        ([[0.0, 0.0, 1.0]], DOWN, {"level": 9}, "level must be 0 to 0"),
+    ],
+)
+def test_bad_rays_are_refused_by_name(
+    origins: object, directions: object, options: dict[str, float], words: str
+) -> None:
+    """The error names the argument, the ray and the rule."""
+    settings = {"max_distance": 10.0, **options}
+    with Terrain(rough(20, 20)) as terrain, pytest.raises(InputError, match=words):
+        raycast(terrain, origins, directions, **settings)  # type: ignore[arg-type]
