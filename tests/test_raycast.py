@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -204,7 +206,7 @@ def test_other_kinds_of_arrays_come_back_in_kind() -> None:
     origins = np.array([[5.0, 5.0, 30.0]], dtype=np.float32)
     with Terrain(rough(20, 20)) as terrain:
         plain = raycast(terrain, origins, DOWN, max_distance=90.0)
-        asked = wp.array(origins, dtype=wp.vec3f, device="cpu")
+        asked: Any = wp.array(origins, dtype=wp.vec3f, device="cpu")
         kind = raycast(terrain, asked, wp.array(DOWN, dtype=wp.vec3d), max_distance=90.0)
     assert isinstance(kind.distance, wp.array)
     np.testing.assert_array_equal(kind.distance.numpy(), plain.distance)
