@@ -12,7 +12,7 @@ import terrasim as ts
 from terrasim.counts import Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Indices
-from terrasim.kernels.addressing import ABSENT, BLOCK, HEADER, PAGE
+from terrasim.kernels.addressing import ABSENT, HEADER, PAGE
 from terrasim.pool import BLOCK_BYTES
 from terrasim.source import BlockData, read_block
 from terrasim.table import Table, table_entries
