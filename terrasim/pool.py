@@ -100,12 +100,9 @@ class Pool:
 
     def read(self, layer: int) -> Counts:
         """A copy of a layer's posts, shape ``(BLOCK, BLOCK)``."""
-        start = layer * BLOCK_POSTS
-        if self._view is not None:
-            posts = self._view[start : start + BLOCK_POSTS].copy()
-        else:
-            posts = self.posts[start : start + BLOCK_POSTS].numpy()
-        return np.asarray(posts, dtype=np.int32).reshape(BLOCK, BLOCK)
+        start, end = layer * BLOCK_POSTS, (layer + 1) * BLOCK_POSTS
+        posts = self.posts[start:end].numpy() if self._view is None else self._view[start:end]
+        return np.array(posts, dtype=np.int32).reshape(BLOCK, BLOCK)
 
     def set_error(self, layer: int, error: int) -> None:
         """Change the bound of a layer whose posts were edited in place."""
