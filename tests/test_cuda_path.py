@@ -205,9 +205,9 @@ def need(row: int, col: int, level: int = 0) -> Disc:
 
 
 def wait_for_reads(cache: Cache, number: int) -> None:
-    """Work until so many blocks were sent; copies stay under way."""
+    """Work, one block a step, until so many were sent; copies stay under way."""
     while cache.counters.loads < number:
-        cache.work(1000.0)
+        cache.work(0.0)
 
 
 def test_what_a_step_requires_has_arrived_when_its_kernels_run(cache: Cache, gpu: Gpu) -> None:
