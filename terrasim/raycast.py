@@ -15,7 +15,8 @@ from terrasim.arrays import Kind, kind_of, vectors
 from terrasim.errors import InputError
 from terrasim.grid import Block
 from terrasim.kernels.addressing import BLOCK_SHIFT
-from terrasim.kernels.raycast import WAITING, Hit, Ray, Walk, aim, cast
+from terrasim.kernels.ray import Ray
+from terrasim.kernels.raycast import WAITING, Hit, Walk, aim, cast
 from terrasim.kernels.surface import COARSER
 from terrasim.launch import launch
 from terrasim.query import check_level
