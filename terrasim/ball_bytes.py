@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from terrasim.kernels.balls import Material, Tally
+from terrasim.kernels.balls import Tally
+from terrasim.kernels.body import Material
 
 BALL_BYTES: int = sum(
     wp.types.type_size_in_bytes(dtype)

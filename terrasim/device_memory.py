@@ -30,7 +30,9 @@ class DeviceMemory:
 @contextmanager
 def counted_memory() -> Iterator[DeviceMemory]:
     """Count allocations; what was allocated before is not seen."""
-    with wp.ScopedMemoryTracker("run", print=False):
+    with wp.ScopedMemoryTracker("run", print=False) as tracker:
+        # What was freed since somebody counted last would still be in the sum.
+        tracker.clear()
         # Warp prints these figures but has no public function that returns them.
         from warp._src import context
 

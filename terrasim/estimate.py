@@ -22,8 +22,8 @@ Places = npt.NDArray[np.float64]
 
 FINER = 2
 """The check runs at a step smaller by this."""
-_MOST_COMPARED = 2000
-"""Stamps whose overlap is found exactly; for more it is bounded by their number."""
+_BINS = 1024
+"""Bins along a side in which overlapping stamps are counted."""
 
 
 @dataclass(frozen=True)
@@ -80,23 +80,21 @@ def rounding_error(stamps: Sequence[Stamp]) -> ErrorEstimate:
 
 
 def most_overlapping(stamps: Sequence[Stamp]) -> int:
-    """Largest number of stamps whose squares share a place."""
-    if len(stamps) > _MOST_COMPARED or len(stamps) < 2:
+    """Bound of how many stamps share a post: those whose squares touch one bin of a coarse grid."""
+    if len(stamps) < 2:
         return len(stamps)
-    x = np.array([[stamp.x - stamp.reach, stamp.x + stamp.reach] for stamp in stamps])
-    y = np.array([[stamp.y - stamp.reach, stamp.y + stamp.reach] for stamp in stamps])
-    cols, rows = np.unique(x), np.unique(y)
-    inside = np.zeros((rows.size + 1, cols.size + 1), np.int32)
-    west, east = np.searchsorted(cols, x[:, 0]), np.searchsorted(cols, x[:, 1]) + 1
-    south, north = np.searchsorted(rows, y[:, 0]), np.searchsorted(rows, y[:, 1]) + 1
-    for row, col, sign in (
-        (south, west, 1),
-        (south, east, -1),
-        (north, west, -1),
-        (north, east, 1),
-    ):
-        np.add.at(inside, (row, col), sign)
-    return int(inside.cumsum(axis=0).cumsum(axis=1).max())
+    spans = []
+    for centre in (np.array([one.y for one in stamps]), np.array([one.x for one in stamps])):
+        reach = np.array([one.reach for one in stamps])
+        low, high = centre - reach, centre + reach
+        size = max(float(high.max() - low.min()) / _BINS, 1e-300)
+        first, last = (((end - low.min()) / size).astype(np.int64) for end in (low, high))
+        spans.append((np.clip(first, 0, _BINS - 1), np.clip(last, 0, _BINS - 1) + 1))
+    (row0, row1), (col0, col1) = spans
+    count = np.zeros((_BINS + 1, _BINS + 1), np.int64)
+    for row, col, sign in ((row0, col0, 1), (row0, col1, -1), (row1, col0, -1), (row1, col1, 1)):
+        np.add.at(count, (row, col), sign)
+    return int(count.cumsum(axis=0).cumsum(axis=1).max())
 
 
 def step_error(setup: Setup, ends: Places) -> ErrorEstimate:

@@ -38,7 +38,7 @@ def write_picture(folder: Path, setup: Setup, simulation: Simulation, recording:
     draw_picture(
         folder / PICTURE,
         views_of(simulation.terrain, setup.anchor, happened),
-        title=f"{setup.scenario.name} after {simulation.time_s:g} s",
+        title=setup.scenario.name + (f" after {simulation.time_s:g} s" if setup.steps else ""),
         note=f"synthetic heights: {synthetic}" if synthetic else "",
         tracks=Tracks(happened.places, happened.radii) if happened.places.size else None,
     )

@@ -153,7 +153,8 @@ def parse_scenario(table: dict[str, Any], name: str = "scenario") -> Scenario:
         InputError: If something in it breaks a rule.
     """
     try:
-        return Scenario.model_validate(table)
+        # Read as JSON: there a number is no text and a flag no number, but a list may be a pair.
+        return Scenario.model_validate_json(json.dumps(table, default=str), strict=True)
     except ValidationError as error:
         raise InputError(f"{name}: {explain(error, Scenario)}") from None
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
-from terrasim.settings import OneOf, Settings, fields_of, given, literal, names_of
+from terrasim.settings import OneOf, Settings, fields_of, given, kind_field, names_of
 from terrasim.stamps import REGISTRY, Stamp
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -44,7 +44,7 @@ class Region(Settings):
 
 def _both_ends(value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    return (value, value) if number else value
+    return (value, value) if number else tuple(value) if isinstance(value, list) else value
 
 
 def _in_order(value: Pair) -> Pair:
@@ -200,7 +200,7 @@ def _models(base: type[Settings], ending: str, skip: frozenset[str]) -> list[typ
             f"{kind.__name__}{ending}",
             __base__=base,
             __doc__=kind.__doc__,
-            kind=(literal(name), ...),
+            kind=kind_field(name),
             **fields_of(kind, skip),
         )
         for name, kind in REGISTRY.items()

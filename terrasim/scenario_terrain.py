@@ -21,7 +21,7 @@ from terrasim.settings import (
     Settings,
     fields_of,
     given,
-    literal,
+    kind_field,
     names_of,
 )
 from terrasim.source import Source
@@ -64,7 +64,8 @@ class Mirror(Settings):
     col: int = 0
     """Index of the first column of posts, counted from the source's first."""
     exponent: int | None = None
-    """A source of other than 2^k + 1 posts is resampled to that; by default k fits best."""
+    """A source of other than 2^k + 1 posts is resampled to that before it is refined; by default
+    k fits best."""
 
 
 class Ground(Settings):
@@ -88,13 +89,15 @@ class Ground(Settings):
             InputError: If it cannot be made.
         """
         source = self.own_source(folder)
-        if self.refine is not None:
-            source = Refined(source, **given(self.refine))
         if self.mirror is not None:
             from terrasim.resample import resample_power_of_two
 
+            # Before refinement, which keeps a power of two plus one.
+            source = resample_power_of_two(source, self.mirror.exponent)
+        if self.refine is not None:
+            source = Refined(source, **given(self.refine))
+        if self.mirror is not None:
             mirror = self.mirror
-            source = resample_power_of_two(source, mirror.exponent)
             source = Mirrored(source, mirror.rows, mirror.cols, mirror.row, mirror.col)
         return source
 
@@ -183,7 +186,7 @@ def _formula_model(name: str, kind: type) -> type[FormulaGround]:
         f"{kind.__name__}Ground",
         __base__=FormulaGround,
         __doc__=kind.__doc__,
-        kind=(literal(name), ...),
+        kind=kind_field(name),
         **fields,
     )
 

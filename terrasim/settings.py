@@ -72,9 +72,9 @@ class OneOf:
         return handler.generate_schema(Annotated[union, Field(discriminator="kind")])
 
 
-def literal(name: str) -> Any:
-    """The type whose only value is a name of a registry."""
-    return Literal[name]
+def kind_field(name: str) -> Any:
+    """Definition of a field ``kind`` whose only value is a name of a registry."""
+    return Literal[name], Field(description="Tells it from the other kinds.")
 
 
 def given(table: BaseModel, names: Container[str] | None = None) -> dict[str, Any]:

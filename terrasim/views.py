@@ -57,7 +57,7 @@ def views_of(terrain: Terrain, anchor: tuple[int, int], happening: Happening) ->
     whole = max(grid.rows, grid.cols) * grid.spacing
     for square, title in (
         (site(happening), "where things happen"),
-        (close_up(happening), "close up: every triangle of the ground"),
+        (close_up(happening), "close up"),
     ):
         if square is None:
             continue
@@ -116,18 +116,20 @@ def _busiest(happening: Happening, half: float) -> tuple[float, float]:
 def _cells(terrain: Terrain, anchor: tuple[int, int], square: Square) -> Span:
     """Level-0 cells of a square, within the terrain."""
     grid = terrain.grid
-    row = anchor[0] + np.array([square.y - square.half, square.y + square.half]) / grid.spacing
-    col = anchor[1] + np.array([square.x - square.half, square.x + square.half]) / grid.spacing
-    rows = np.clip(np.round(row), grid.row, grid.row + grid.rows - 1).astype(int).tolist()
-    cols = np.clip(np.round(col), grid.col, grid.col + grid.cols - 1).astype(int).tolist()
-    rows = _at_least_one(rows, grid.row + grid.rows - 1)
-    cols = _at_least_one(cols, grid.col + grid.cols - 1)
-    return Span(rows[0], rows[1], cols[0], cols[1])
+    half = max(1, round(square.half / grid.spacing))
+    row = anchor[0] + round(square.y / grid.spacing)
+    col = anchor[1] + round(square.x / grid.spacing)
+    return Span(
+        *_within(row, half, grid.row, grid.row + grid.rows - 1),
+        *_within(col, half, grid.col, grid.col + grid.cols - 1),
+    )
 
 
-def _at_least_one(ends: list[int], last: int) -> list[int]:
-    """A range of one cell or more."""
-    return ends if ends[0] < ends[1] else [min(ends[0], last - 1), min(ends[0], last - 1) + 1]
+def _within(centre: int, half: int, first: int, last: int) -> tuple[int, int]:
+    """A range around a place, moved into the terrain and cut where it is wider."""
+    half = min(half, (last - first + 1) // 2)
+    centre = min(max(centre, first + half), last - half)
+    return max(centre - half, first), min(centre + half, last)
 
 
 def _view(
@@ -151,8 +153,9 @@ def _view(
     # A close view shows the triangles themselves, not a picture smoothed over them.
     finer = max(1, MOST_POSTS // (2 * max(counts.shape)))
     heights = np.where(counts == HOLE, np.nan, counts * COUNT_M + grid.datum)
+    which = "every triangle" if level == 0 else f"level {level}"
     return View(
-        f"{title} ({spacing:.3g} m between posts)",
+        f"{title}: {which}, {spacing:.3g} m between posts",
         on_triangles(heights, finer),
         (float(window.col0 << level) - anchor[1]) * grid.spacing,
         (float(window.row0 << level) - anchor[0]) * grid.spacing,

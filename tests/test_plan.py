@@ -1,0 +1,210 @@
+"""A plan says what a run will need, to the byte, and a run takes no more."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from terrasim.device_memory import counted_memory
+from terrasim.errors import InputError
+from terrasim.plan import DEVICE, HOST, frame_steps, make_plan
+from terrasim.run import plan_file, run_file
+from terrasim.scenario import Scenario, parse_scenario
+from terrasim.simulation import Setup, Simulation
+from terrasim.stages import StageTimer
+
+FLAT = {"kind": "flat", "rows": 600, "cols": 600, "spacing": 1.0}
+REGION = {"size_x": 50.0, "size_y": 50.0}
+BALLS = [{"count": 700, "region": REGION, "radius": 0.3}]
+CRATER = {"kind": "crater", "x": 1.0, "y": 2.0, "radius": 3.0, "depth": 1.0}
+EVERYTHING = {
+    "stamps": [CRATER],
+    "balls": BALLS,
+    "samples": [{"count": 3, "region": REGION}],
+    "agents": [{"path": [[0, 0]], "radius": 9.0}],
+    "run": {"duration_s": 0.1},
+    "output": {"picture": True, "usd": True, "parquet": True},
+}
+
+
+def scenario_of(**more: Any) -> Scenario:
+    """A scenario on flat ground."""
+    return parse_scenario({"terrain": FLAT, **more})
+
+
+def test_what_the_scenario_does_not_ask_for_is_left_out() -> None:
+    scenario = scenario_of()
+    plan = make_plan(scenario, scenario.terrain.source(Path()))
+    left = {part.name for part in plan.left_out}
+    assert left == {
+        "stamps", "balls", "check at half the step", "agents", "samples", "picture", "usd",
+        "parquet",
+    }  # fmt: skip
+    assert set(plan.modules) == {"numpy", "warp"}
+    assert plan.kernels == ()
+    assert {buffer.part for buffer in plan.buffers} == {"terrain"}
+
+
+def test_what_it_asks_for_is_in() -> None:
+    scenario = scenario_of(**EVERYTHING)
+    plan = make_plan(scenario, scenario.terrain.source(Path()))
+    assert plan.left_out == ()
+    assert {"pxr", "matplotlib", "pyarrow"} <= set(plan.modules)
+    assert {"terrasim.kernels.balls", "terrasim.kernels.stamps"} <= set(plan.kernels)
+    assert any(buffer.part == "balls" for buffer in plan.buffers)
+
+
+def test_every_part_says_why() -> None:
+    for more in ({}, EVERYTHING):
+        scenario = scenario_of(**more)
+        plan = make_plan(scenario, scenario.terrain.source(Path()))
+        assert all(part.why for part in plan.parts)
+
+
+@pytest.mark.parametrize("pool_bytes", [1 << 21, 1 << 24, 1 << 30])
+@pytest.mark.parametrize("balls", [0, 1, 700])
+def test_planned_bytes_are_those_the_allocator_counts(pool_bytes: int, balls: int) -> None:
+    """The bar is 1 %; formulas of whole arrays leave nothing to be off by."""
+    more: dict[str, Any] = {"pool": {"bytes": pool_bytes}, "run": {"duration_s": 0.05}}
+    if balls:
+        more["balls"] = [BALLS[0] | {"count": balls}]
+    scenario = scenario_of(**more)
+    source = scenario.terrain.source(Path())
+    plan = make_plan(scenario, source)
+    setup = Setup(scenario, source, plan.anchor)
+    with counted_memory() as memory, Simulation(setup, StageTimer()) as simulation:
+        assert memory.held == plan.total_bytes(DEVICE)
+        simulation.run()
+        assert memory.held == plan.total_bytes(DEVICE)
+
+
+def test_a_plan_of_a_large_terrain_allocates_nothing() -> None:
+    huge = {**FLAT, "rows": 1_000_000, "cols": 1_000_000}
+    scenario = parse_scenario({"terrain": huge, "pool": {"bytes": 1 << 30}})
+    with counted_memory() as memory:
+        plan = make_plan(scenario, scenario.terrain.source(Path()))
+        assert memory.peak == 0
+    assert plan.total_bytes(DEVICE) > 1 << 30
+
+
+PROGRAM = """
+import json, sys
+from pathlib import Path
+from terrasim.cli import command
+status = command(["run", sys.argv[1], "--out", sys.argv[2], "--json"])
+loaded = sorted({name.split(".")[0] for name in sys.modules})
+print(json.dumps({"status": status, "loaded": loaded}), file=sys.stderr)
+"""
+HEAVY = {"pxr", "mujoco", "matplotlib", "torch", "OpenImageIO", "rasterio", "pyarrow", "scipy"}
+
+
+def after_running(text: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a process has imported that ran a scenario, and the run's record."""
+    path = folder / "s.toml"
+    path.write_text(text)
+    kernels = folder / "kernels"
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(path), str(folder / "out")],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"WARP_CACHE_PATH": str(kernels)},
+    )
+    seen = json.loads(done.stderr.splitlines()[-1])
+    # Warp names a module's folder for it, and puts a hash behind.
+    compiled = {folder.name[3:-8] for folder in kernels.glob("*/wp_*")}
+    return seen | {"compiled": compiled}, json.loads(done.stdout)
+
+
+def test_a_scene_without_export_or_balls_imports_and_allocates_nothing_for_them(
+    tmp_path: Path,
+) -> None:
+    text = """
+    samples = [{ count = 100, region = { size_x = 50.0, size_y = 50.0 } }]
+    [terrain]
+    kind = "sine"
+    rows = 300
+    cols = 300
+    spacing = 1.0
+    amplitude = 2.0
+    wavelength = 30.0
+    """
+    seen, record = after_running(text, tmp_path)
+    assert seen["status"] == 0
+    assert not HEAVY & set(seen["loaded"])
+    assert seen["compiled"] == set(record["plan"]["kernels"]) == {"terrasim.kernels.sample"}
+    memory = record["memory"]
+    assert memory["counted_device_bytes"] == memory["planned_device_bytes"]
+    assert {"balls", "usd", "picture"} <= set(record["plan"]["left_out"])
+
+
+def test_a_scene_imports_what_its_plan_names(tmp_path: Path) -> None:
+    text = """
+    [terrain]
+    kind = "flat"
+    rows = 65
+    cols = 65
+    spacing = 1.0
+    [output]
+    usd = true
+    """
+    seen, _ = after_running(text, tmp_path)
+    assert HEAVY & set(seen["loaded"]) == {"pxr"}
+    assert seen["compiled"] == set()
+
+
+def test_the_anchor_is_the_middle_unless_the_scenario_says_otherwise() -> None:
+    terrain = {**FLAT, "row": 1000, "col": -50}
+    scenario = parse_scenario({"terrain": terrain})
+    assert make_plan(scenario, scenario.terrain.source(Path())).anchor == (1299, 249)
+    scenario = parse_scenario({"terrain": terrain, "anchor": {"row": 1001, "col": 3}})
+    assert make_plan(scenario, scenario.terrain.source(Path())).anchor == (1001, 3)
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"anchor": {"row": 600, "col": 0}}, r"anchor post \(600, 0\) lies off the terrain"),
+        ({"pool": {"bytes": 300_000}}, "pool of 300000 bytes is too small"),
+        ({"samples": [{"count": 1, "region": REGION, "level": 9}]}, r"samples\[1\]\.level must"),
+        ({"agents": [{"path": [[0, 0]], "radius": 1, "level": 9}]}, r"agents\[1\]\.level must"),
+    ],
+)
+def test_what_does_not_fit_the_terrain_is_refused(more: dict[str, Any], told: str) -> None:
+    scenario = scenario_of(**more)
+    with pytest.raises(InputError, match=told):
+        make_plan(scenario, scenario.terrain.source(Path()))
+
+
+def test_frames_begin_at_the_start_and_finish_at_the_end() -> None:
+    run = {"duration_s": 0.11, "dt_s": 0.01}
+    scenario = scenario_of(run=run, output={"frames_per_s": 25.0})
+    assert list(frame_steps(scenario)) == [0, 4, 8, 11]
+    assert list(frame_steps(scenario_of())) == [0]
+    slow = scenario_of(run=run, output={"frames_per_s": 1000.0})
+    assert list(frame_steps(slow)) == list(range(12))
+
+
+def test_a_plan_of_a_file_is_the_plan_of_its_run(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text('[terrain]\nkind = "flat"\nrows = 65\ncols = 65\nspacing = 1.0\n')
+    planned = plan_file(path).as_json()
+    record = run_file(path, out=tmp_path / "out")
+    assert json.loads(json.dumps(planned)) == json.loads(json.dumps(record["plan"]))
+    assert planned["device_bytes"] > 0
+    assert planned["host_bytes"] == plan_file(path).total_bytes(HOST)
+
+
+def test_the_device_of_the_command_line_counts(tmp_path: Path) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text('[terrain]\nkind = "flat"\nrows = 65\ncols = 65\nspacing = 1.0\n')
+    plan = plan_file(path, device="cuda:0")
+    assert plan.device == "cuda:0"
+    assert "terrasim.kernels.transfer" in plan.kernels
+    assert any(buffer.name == "pinned staging" for buffer in plan.buffers)
