@@ -15,7 +15,7 @@ from terrasim.array_source import ArraySource
 from terrasim.balls import Balls, step, totals
 from terrasim.counts import COUNT_M, Counts
 from terrasim.errors import InputError
-from terrasim.grid import Grid
+from terrasim.grid import Block, Grid
 from terrasim.half_step import half_step_error
 from terrasim.query import sample
 from terrasim.stamps import Gaussian
@@ -316,13 +316,16 @@ def test_ground_edited_under_a_resting_ball_carries_it(raised: float) -> None:
 
 
 def test_a_ball_on_a_coarser_level_is_counted_with_its_error() -> None:
-    """Balls everywhere need more blocks than the pool holds."""
+    """Balls everywhere need more blocks than the pool holds; what else lies there plays no part."""
     posts = rough(2000, 2000, 0.5)
     with ground(posts, pool_bytes=10 << 18) as terrain:
         rng = np.random.default_rng(0)
         place = np.column_stack([rng.uniform(0, 1999, (500, 2)), np.zeros(500)])
         balls = Balls.at(terrain, place, radius=0.1, above_ground=True)
-        run(terrain, balls, 0.01, 3)
+        step(terrain, balls, 0.01)
+        terrain.cache.hold([Block(0, 1, 1), Block(0, 4, 5)])
+        run(terrain, balls, 0.01, 2)
+        assert terrain.cache.is_resident(Block(0, 1, 1))
         assert totals(balls).coarse == 1500
         assert 10_000 < totals(balls).error <= 50_000 + 1
         assert terrain.cache.counters.coarsened > 0

@@ -102,6 +102,8 @@ def test_no_step_ends_below_the_ground_nor_gains_energy(
             assert (now <= highest * (1 + 1e-12) + 1e-9).all()
             highest = now
         assert (clearance(terrain, balls) >= 0.0).all()
+        offset = balls.offset.numpy()
+        assert ((offset >= 0.0) & (offset < 1.0)).all()
     assert totals(balls).impacts > 1500
 
 
@@ -174,6 +176,31 @@ def test_a_ball_in_a_valley_comes_to_rest_at_its_bottom() -> None:
         np.testing.assert_allclose(
             place[[0, 2]], [30.0, 0.2 / math.sin(math.radians(60))], atol=1e-4
         )
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_a_ball_slides_along_a_valley_on_both_its_sides(diagonal: bool, friction: float) -> None:
+    """Gravity along the line, less friction for the two forces that carry it across."""
+    row, col = np.mgrid[-30:171, -30:171]
+    across, along = (col - row, col + row) if diagonal else (col, row)
+    posts = (np.abs(across) * 50_000 - along * 20_000).astype(np.int32)
+    line = np.array([1.0, 1.0, -0.4] if diagonal else [0.0, 1.0, -0.2])
+    line /= np.linalg.norm(line)
+    slopes = [[-0.7, 0.3], [0.3, -0.7]] if diagonal else [[0.5, -0.2], [-0.5, -0.2]]
+    sides = np.array([[-x, -y, 1.0] for x, y in slopes])
+    sides /= np.linalg.norm(sides, axis=1)[:, None]
+    carried = np.array([0.0, 0.0, G]) - G * line[2] * line
+    forces = np.linalg.lstsq(sides.T, carried, rcond=None)[0]
+    expected = -G * line[2] - friction * forces.sum()
+    with ground(posts) as terrain:
+        balls = Balls.at(
+            terrain, [[30.0, 30.0, 0.0]], radius=0.2, friction=friction, above_ground=True
+        )
+        run(terrain, balls, 0.01, 300)
+        velocity = balls.velocity.numpy()[0]
+        np.testing.assert_allclose(velocity, 3.0 * expected * line, rtol=1e-4, atol=1e-4)
+        assert totals(balls).held == 0
 
 
 def test_balls_in_pits_are_at_rest() -> None:

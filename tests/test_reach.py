@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+import pytest
 
 from terrasim.array_source import ArraySource
 from terrasim.balls import Balls, reach, step, totals
@@ -42,3 +42,14 @@ def test_the_same_blocks_serve_many_steps() -> None:
         run(terrain, balls, 0.01, 600)
         assert sorted(reach(terrain, balls, 0.01).col0.tolist()) == [256]
         assert totals(balls).coarse == 0
+
+
+def test_a_reach_grows_with_what_gravity_adds() -> None:
+    """Speed by g dt a step, and the room shrinks by the way at that speed."""
+    with ground(plane(60, 60)) as terrain:
+        balls = Balls.at(terrain, [[30.0, 30.0, 9.0]], [[0.0, 3.0, 4.0]], radius=0.1)
+        for _ in range(3):
+            reach(terrain, balls, 0.01, gravity=10.0)
+        assert balls.reach is not None
+        assert balls.reach.speed == pytest.approx(5.3)
+        assert balls.reach.room == pytest.approx(2.0 - (5.1 + 5.2 + 5.3) * 0.01)
