@@ -2,9 +2,9 @@
 
 A ball's place is an int32 cell and a float64 offset within it; its height is float64 metres above
 the datum. Nothing in a step depends on how far the cell is from the origin, so a scene moved by
-whole cells repeats to the bit. float64 costs little here: on one CPU thread a step took 75 to 100 ns
-a ball with balls sorted by place, where float32 offsets and a simpler contact had been measured at
-68 to 88; and elastic bounces at an altitude of 4,000 m keep their energy to 1e-8.
+whole cells repeats to the bit. float64 costs little: on one CPU thread a step took 75 to 100 ns a
+ball, sorted by place, where float32 offsets with a simpler contact had been measured at 68 to 88;
+and elastic bounces at an altitude of 4,000 m keep their energy to 1e-8.
 
 Contact is with the plane of the triangle under the centre. A ball that is large against the cells,
 or lies in a valley, may cut into triangles beside it.
