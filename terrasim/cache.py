@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from terrasim.counters import Counters
+from terrasim.counts import Counts
 from terrasim.errors import RunError
 from terrasim.grid import Block, Grid, Indices
 from terrasim.ground import Ground
@@ -168,6 +169,11 @@ class Cache:
     def describe(self, key: Block) -> tuple[int, int, int]:
         """Lowest and highest count and error bound of a resident block."""
         return self._bounds[self._layer[key]]
+
+    @property
+    def highest(self) -> Counts:
+        """Highest count of each layer's block, int32, shape ``(layers,)``; 0 in an empty layer."""
+        return np.array([highest for _, highest, _ in self._bounds], dtype=np.int32)
 
     def is_resident(self, key: Block) -> bool:
         """Whether a block is in the pool."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,8 @@ from terrasim.errors import InputError
 from terrasim.grid import Block
 from terrasim.kernels.addressing import BLOCK_SHIFT
 from terrasim.kernels.ray import Ray
-from terrasim.kernels.raycast import WAITING, Hit, Walk, aim, cast
+from terrasim.kernels.ray_cell import WAITING, Hit
+from terrasim.kernels.raycast import Walk, aim, cast
 from terrasim.kernels.surface import COARSER
 from terrasim.launch import launch
 from terrasim.query import check_level
@@ -53,8 +53,10 @@ def raycast(
 ) -> RayHits:
     """Where rays first meet the surface.
 
-    A ray sees the terrain's own area only: one that starts beyond the edge enters there. It may
-    start below the ground and meets it from below. Holes let rays through.
+    A ray sees the terrain's own area only: one that starts beyond the edge enters there, and where
+    it enters below the ground it meets no wall. The ground is met from either side; a ray that
+    starts on it meets it at once. Holes let rays through. ``COARSER`` says that the ray passed or
+    met ground of a coarser level than asked for.
 
     Args:
         terrain: The terrain.
@@ -75,13 +77,8 @@ def raycast(
     check_level(terrain.grid, level)
     if not (math.isfinite(max_distance) and max_distance > 0.0):
         raise InputError(f"max_distance must be above 0 m and finite, got {max_distance}")
-    start = vectors(origins, 3, terrain.device, "origins")
-    way = vectors(directions, 3, terrain.device, "directions")
+    start, way = _asked(terrain, origins, directions)
     count = start.shape[0]
-    if way.shape[0] != count:
-        raise InputError(f"there are {count} origins but {way.shape[0]} directions")
-    _check_finite(start, "origins")
-    _check_directions(way)
     rays = wp.zeros(count, dtype=Ray, device=terrain.device)
     hits = wp.zeros(count, dtype=Hit, device=terrain.device)
     launch(
@@ -96,34 +93,34 @@ def raycast(
     return _answers(terrain, found, kind_of(origins))
 
 
+def _asked(terrain: Terrain, origins: Any, directions: Any) -> tuple[Any, Any]:
+    start = vectors(origins, 3, terrain.device, "origins")
+    way = vectors(directions, 3, terrain.device, "directions")
+    if way.shape[0] != start.shape[0]:
+        raise InputError(f"there are {start.shape[0]} origins but {way.shape[0]} directions")
+    _check_finite(start, "origins")
+    _check_directions(way)
+    return start, way
+
+
 def _walk(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> Any:
     """Walk all rays to their ends; returns the hits on the host."""
-    walk: Any = Walk()
-    walk.level, walk.wait = level, int(wait)
-    shared = [terrain.pool, terrain.resident, terrain.error, terrain.lattice, walk, terrain.used]
-    launch(
-        cast,
-        hits.shape[0],
-        shared=shared,
-        items=[rays, hits],
-        device=terrain.device,
-        threads=terrain.threads,
-    )
+    _cast(terrain, rays, hits, level, wait)
+    used = terrain.cache.note_used()
     found = hits.numpy()
-    while True:
-        used = terrain.cache.note_used()
-        late = np.flatnonzero(found["state"] == WAITING)
-        if late.size == 0:
-            break
+    late = np.flatnonzero(found["state"] == WAITING)
+    if late.size:
         state = rays.numpy()
-        part, blocks = next(_groups(terrain, state[late], level))
+    while late.size:
+        part, blocks = _most_waited_for(state[late], level, terrain.cache.capacity)
         terrain.cache.hold(blocks)
         some = late[part]
         going: Any = wp.array(state[some], dtype=Ray, device=terrain.device)
         ends: Any = wp.array(found[some], dtype=Hit, device=terrain.device)
-        wp.launch(cast, len(some), inputs=[*shared, going, ends], device=terrain.device)
+        _cast(terrain, going, ends, level, wait)
+        terrain.cache.note_used()
         state[some], found[some] = going.numpy(), ends.numpy()
-        rays = wp.array(state, dtype=Ray, device=terrain.device)
+        late = late[found["state"][late] == WAITING]
     coarser = int(np.count_nonzero(found["state"] & COARSER))
     if coarser:
         terrain.cache.counters.fallbacks += coarser
@@ -131,24 +128,45 @@ def _walk(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> Any
     return found
 
 
-def _groups(
-    terrain: Terrain, rays: Any, level: int
-) -> Iterator[tuple[npt.NDArray[np.int64], list[Block]]]:
-    """The first rays whose cells' blocks fit into the pool together."""
+def _cast(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> None:
+    """Walk rays until they end or wait for ground."""
+    walk: Any = Walk()
+    walk.level, walk.wait = level, int(wait)
+    highest: Any = wp.array(terrain.cache.highest, dtype=wp.int32, device=terrain.device)
+    launch(
+        cast,
+        rays.shape[0],
+        shared=[
+            terrain.pool,
+            terrain.resident,
+            terrain.error,
+            highest,
+            terrain.lattice,
+            walk,
+            terrain.used,
+        ],
+        items=[rays, hits],
+        device=terrain.device,
+        threads=terrain.threads,
+    )
+
+
+def _most_waited_for(
+    rays: Any, level: int, capacity: int
+) -> tuple[npt.NDArray[np.int64], list[Block]]:
+    """The blocks that most rays wait for, as many as fit, and which rays can go on with them."""
     row, col = rays["at_row"] >> level, rays["at_col"] >> level
+    ends = np.stack([row, row + 1, col, col + 1], axis=1) >> BLOCK_SHIFT
+    ranges, which, waiting = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     blocks: dict[Block, None] = {}
-    last = len(row)
-    for i in range(len(row)):
-        new = {
-            Block(level, int(r) >> BLOCK_SHIFT, int(c) >> BLOCK_SHIFT): None
-            for r in (row[i], row[i] + 1)
-            for c in (col[i], col[i] + 1)
-        }
-        if blocks and len(blocks.keys() | new.keys()) > terrain.cache.capacity:
-            last = i
-            break
-        blocks.update(new)
-    yield np.arange(last), list(blocks)
+    ready = np.zeros(len(ranges), dtype=np.bool_)
+    for i in np.argsort(-waiting, kind="stable"):
+        row0, row1, col0, col1 = ranges[i].tolist()
+        new = [Block(level, r, c) for r in range(row0, row1 + 1) for c in range(col0, col1 + 1)]
+        if len(blocks) + sum(key not in blocks for key in new) <= capacity:
+            blocks.update(dict.fromkeys(new))
+            ready[i] = True
+    return np.flatnonzero(ready[which.reshape(-1)]), list(blocks)
 
 
 def _answers(terrain: Terrain, found: Any, kind: Kind) -> RayHits:
