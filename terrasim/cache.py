@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from terrasim.coarsen import coarsen
 from terrasim.counters import Counters
 from terrasim.counts import Counts
 from terrasim.errors import RunError
@@ -56,7 +57,6 @@ class Cache:
         self._wanted: list[Block] = []
         self._arriving: dict[Block, tuple[int, Any]] = {}
         self._worst_place_ms = 0.0
-        self._raised: set[Block] = set()
         top = region_blocks(grid, grid.posts(grid.top), grid.top)
         self._top = frozenset(top)
         self.capacity = layers - len(top)
@@ -76,14 +76,15 @@ class Cache:
         Waiting is a stall. Needs that together exceed the pool are coarsened, the finest and
         largest first, so that what a step reads never depends on how fast a disk was.
         """
-        keys = self._coarsen(needs)
-        needed = set(keys)
+        fitting = coarsen(needs, self.grid, self.capacity, self._top)
+        self.counters.coarsened += fitting.steps
+        needed = set(fitting.blocks)
         self._tick += 1
         for key in self._needed - needed - self._top:
             self.required.clear(key)
         # Only what the table holds, in case reading the rest fails.
         self._needed &= needed
-        missing = [key for key in keys if key not in self._layer]
+        missing = [key for key in fitting.blocks if key not in self._layer]
         self.counters.hits += len(needed) - len(missing)
         if missing:
             start = time.perf_counter()
@@ -95,7 +96,7 @@ class Cache:
         for key in needed - self._needed:
             self.required.set(key, self._layer[key])
         self._needed = needed
-        for key in self._raised:
+        for key in fitting.raised:
             error = self._bounds[self._layer[key]][2]
             self.counters.coarsened_error = max(self.counters.coarsened_error, error)
         self._publish()
@@ -213,22 +214,6 @@ class Cache:
         """End the loader's threads."""
         self._loader.close()
         self.counters.read_ms = self._loader.read_ms
-
-    def _coarsen(self, needs: Sequence[Need]) -> list[Block]:
-        levels = [min(need.level, self.grid.top) for need in needs]
-        found = [need.blocks(self.grid, level) for need, level in zip(needs, levels, strict=True)]
-        raised: set[int] = set()
-        while len(keys := dict.fromkeys(key for keys in found for key in keys)) > self.capacity:
-            if len(keys.keys() - self._top) <= self.capacity:
-                break
-            some = (i for i, keys_i in enumerate(found) if keys_i)
-            worst = min(some, key=lambda i: (levels[i], -len(found[i]), i))
-            levels[worst] += 1
-            found[worst] = needs[worst].blocks(self.grid, levels[worst])
-            self.counters.coarsened += 1
-            raised.add(worst)
-        self._raised = {key for i in raised for key in found[i]}
-        return list(keys)
 
     def _bring(self, missing: list[Block], keep: set[Block]) -> None:
         """Wait for blocks and place them, each as soon as it has been read."""

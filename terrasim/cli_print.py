@@ -51,18 +51,20 @@ def print_run(record: dict[str, Any], console: Console | None = None) -> None:
     console = console or Console()
     console.print(f"{record['name']}: {record['folder']}", markup=False, soft_wrap=True)
     stages = Table("stage", title="Timing", title_justify="left")
-    stages.add_column("wall [s]", justify="right")
+    stages.add_column("wall \\[s]", justify="right")
     for stage in record["timings"]["stages"]:
         stages.add_row(stage["name"], f"{stage['wall_s']:.3f}")
     stages.add_section()
     stages.add_row("all", f"{record['timings']['wall_s']:.3f}")
     console.print(stages)
     errors = Table("error", title="How wrong it is", title_justify="left")
-    errors.add_column("[m]", justify="right")
-    errors.add_column("cost [s]", justify="right")
+    errors.add_column("at most \\[m]", justify="right")
+    errors.add_column("in the middle \\[m]", justify="right")
+    errors.add_column("cost \\[s]", justify="right")
     for error in record["errors"]:
-        value = "-" if error["metres"] is None else f"{error['metres']:.3g}"
-        errors.add_row(error["name"], value, f"{error['cost_s']:.3f}")
+        values = [error["metres"], error["typical_m"]]
+        shown = ["-" if value is None else f"{value:.3g}" for value in values]
+        errors.add_row(error["name"], *shown, f"{error['cost_s']:.3f}")
     console.print(errors)
     for name in record["files"]:
         console.print(f"  {record['folder']}/{name}", markup=False, soft_wrap=True)

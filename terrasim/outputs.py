@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from terrasim.counts import COUNT_M, HOLE
 from terrasim.errors import RunError
+from terrasim.grid import Span
 from terrasim.recording import Recording
 from terrasim.samples import Sampled
 from terrasim.schedule import schedule
 from terrasim.simulation import Setup, Simulation, stamps_of
 from terrasim.usd import Place
 from terrasim.views import Happening, site, views_of
+from terrasim.window import read_window
 
 PICTURE, STAGE = "picture.png", "scene.usdc"
 BALL_TABLE, SAMPLE_TABLE = "balls.parquet", "samples.parquet"
@@ -88,14 +91,15 @@ def _camera(
     setup: Setup, simulation: Simulation, recording: Recording
 ) -> tuple[Place, Place] | None:
     """South of where things happen and above it."""
-    from terrasim.query import sample
-
     square = site(happening(setup, simulation, recording))
     if square is None:
         return None
     x, y = _anchor_place(setup)
-    centre = np.array([[x + square.x, y + square.y]])
-    ground = float(np.nan_to_num(sample(simulation.terrain, centre).height[0]))
+    grid = simulation.terrain.grid
+    row = setup.anchor[0] + round(square.y / grid.spacing)
+    col = setup.anchor[1] + round(square.x / grid.spacing)
+    post = int(read_window(simulation.terrain, 0, Span(row, row + 1, col, col + 1))[0, 0])
+    ground = grid.datum + (0.0 if post == HOLE else post * COUNT_M)
     target = (x + square.x, y + square.y, ground)
     eye = (x + square.x, y + square.y - 2.2 * square.half, ground + 1.6 * square.half)
     return eye, target

@@ -175,10 +175,29 @@ def _counters(record: Record) -> str:
 
 def _balls(record: Record) -> str:
     rows = [
-        (escape(name.replace("_", " ")), number_text(value))
+        (
+            escape(name.replace("_m_s", " [m/s]").replace("_m", " [m]").replace("_", " ")),
+            number_text(value),
+            escape(_MEANING.get(name, "")),
+        )
         for name, value in record["balls"].items()
     ]
-    return table(("balls", ""), rows, numbers=(1,)) if rows else ""
+    return table(("counted", "", "meaning"), rows, numbers=(1,)) if rows else ""
+
+
+_MEANING = {
+    "count": "Balls let go.",
+    "impacts": "Times a ball struck the ground.",
+    "projected": "Times a ball was lifted out of the ground: an edge it did not clear, or ground "
+    "that rose under it.",
+    "held": "Steps in which a ball met too many events and stood still for the rest.",
+    "off": "Steps that took a ball beyond the terrain's edge, where the edge's height goes on.",
+    "hole": "Steps that took a ball over a hole, where nothing holds it.",
+    "coarse": "Steps in which a coarser level stood in for the finest.",
+    "coarse_error_m": "Largest error bound of such a level.",
+    "at_rest": "Balls slower than 1 mm/s at the end.",
+    "fastest_m_s": "Speed of the fastest ball at the end.",
+}
 
 
 def _ledger(record: Record) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def test_every_layout_gives_the_same_heights() -> None:
         pool, layers = _laid_out(heights, shift, tiled)
         out = wp.empty(len(points), dtype=wp.float64, device="cpu")
         inputs = [wp.array(pool, device="cpu"), wp.array(layers, device="cpu"), POSTS >> shift]
-        asked = wp.array(points, dtype=wp.vec2d, device="cpu")
+        asked: Any = wp.array(points, dtype=wp.vec2d, device="cpu")
         wp.launch(kernel, len(points), inputs=[*inputs, asked], outputs=[out], device="cpu")
         np.testing.assert_array_equal(out.numpy(), numpy_heights(heights, points))
 

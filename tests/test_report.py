@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from terrasim.report import report_html
+from terrasim.report import _MEANING, report_html
 from terrasim.report_table import bytes_text, metres_text, number_text
 from terrasim.run import run_scenario
 from terrasim.scenario import parse_scenario
@@ -104,6 +104,7 @@ def test_it_says_all_that_is_asked_of_it(made: tuple[dict[str, Any], str]) -> No
         assert name in text
     assert "left out" in text
     assert record["hashes"]["heights"] in text
+    assert set(record["balls"]) == set(_MEANING)
     assert "run.duration_s" in text
 
 
