@@ -56,7 +56,7 @@ class Stamp:
     y: wp.float64
     """Centre within its cell, along y [m]."""
     a: wp.float64
-    """The four numbers of its shape; ``terrasim.stamps`` says which."""
+    """The four numbers of its shape; ``terrasim.deform.stamps`` says which."""
     b: wp.float64
     c: wp.float64
     d: wp.float64

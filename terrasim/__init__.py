@@ -6,24 +6,24 @@ let things roll on it. Heavy libraries are imported only by what needs them.
 
 from importlib.metadata import PackageNotFoundError, version
 
-from terrasim.agent import Agent
-from terrasim.analytic import Cone, Flat, Plane, Sine
-from terrasim.apply import apply
-from terrasim.array_source import ArraySource
-from terrasim.balls import Balls, step
+from terrasim.balls.balls import Balls, step
+from terrasim.cache.agent import Agent
+from terrasim.cache.needs import Boxes, Disc
+from terrasim.deform.apply import apply
+from terrasim.deform.ledger import Ledger
+from terrasim.deform.stamps import Crater, Gaussian
 from terrasim.errors import InputError, RunError
-from terrasim.fractal import Fractal
 from terrasim.grid import Block, Grid
-from terrasim.ledger import Ledger
-from terrasim.mirror import Mirrored
-from terrasim.needs import Boxes, Disc
 from terrasim.query import Sample, SurfaceSample, sample, sample_all
 from terrasim.raycast import RayHits, raycast
-from terrasim.refine import Refined
-from terrasim.resample import resample_power_of_two
-from terrasim.source import Source
-from terrasim.stamps import Crater, Gaussian
-from terrasim.store import open_store
+from terrasim.sources.analytic import Cone, Flat, Plane, Sine
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.fractal import Fractal
+from terrasim.sources.mirror import Mirrored
+from terrasim.sources.refine import Refined
+from terrasim.sources.resample import resample_power_of_two
+from terrasim.sources.source import Source
+from terrasim.store.store import open_store
 from terrasim.terrain import Terrain
 
 try:

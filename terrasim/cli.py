@@ -44,7 +44,7 @@ def run(
     """Run a scenario and write its record, report and outputs into a folder."""
     from terrasim.cli_print import print_run
     from terrasim.progress import progress_bar
-    from terrasim.run import run_file
+    from terrasim.scenario.run import run_file
     from terrasim.warp_start import start_warp
 
     start_warp()
@@ -57,7 +57,7 @@ def run(
 def plan(file: File, device: str | None = None, as_json: Json = False) -> None:
     """Show what a scenario needs: parts, imports, kernels and bytes; nothing is run."""
     from terrasim.cli_print import print_plan
-    from terrasim.run import plan_file
+    from terrasim.scenario.run import plan_file
 
     _print(plan_file(file, device=device).as_json(), as_json, print_plan)
 
@@ -65,7 +65,7 @@ def plan(file: File, device: str | None = None, as_json: Json = False) -> None:
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of scenario files."""
-    from terrasim.scenario import scenario_schema
+    from terrasim.scenario.scenario import scenario_schema
 
     _print(scenario_schema(), True, None)
 
@@ -80,11 +80,11 @@ def info(
 ) -> None:
     """Tell what a store or files of heights hold."""
     from terrasim.cli_print import print_tree
-    from terrasim.imports import ImportOptions, describe_input
-    from terrasim.input_file import begins_with
+    from terrasim.dem.imports import ImportOptions, describe_input
+    from terrasim.dem.input_file import begins_with
 
     if len(files) == 1 and files[0].is_file() and begins_with(files[0], _SQLITE):
-        from terrasim.store import info as store_info
+        from terrasim.store.store import info as store_info
 
         _print(store_info(files[0]), as_json, print_tree)
         return
@@ -103,7 +103,7 @@ def import_(
 ) -> None:
     """Read files of heights into a new store."""
     from terrasim.cli_print import print_tree
-    from terrasim.imports import ImportOptions, import_terrain
+    from terrasim.dem.imports import ImportOptions, import_terrain
     from terrasim.progress import progress_bar
 
     with progress_bar() as progress:
@@ -127,7 +127,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Measure against the limits of this machine: a memory copy, and NumPy doing the same."""
-    from terrasim.bench import bench as run_bench
+    from terrasim.bench.bench import bench as run_bench
     from terrasim.cli_print import print_bench
     from terrasim.progress import progress_bar
     from terrasim.warp_start import start_warp
@@ -211,8 +211,8 @@ def _print(result: dict[str, Any], as_json: bool, show: Any) -> None:
 
 def _take_options(function: Any) -> None:
     """Give a command an option for each field of ``ImportOptions``, described as it is there."""
-    from terrasim.descriptions import descriptions
-    from terrasim.import_options import ImportOptions
+    from terrasim.dem.import_options import ImportOptions
+    from terrasim.scenario.descriptions import descriptions
 
     own = Signature.from_callable(function, eval_str=True)
     types, lines = get_type_hints(ImportOptions), descriptions(ImportOptions)

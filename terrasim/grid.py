@@ -69,9 +69,7 @@ class Grid:
     def __post_init__(self) -> None:
         """Refuse what cannot be addressed."""
         if self.rows < 2 or self.cols < 2:
-            raise InputError(
-                f"a terrain needs at least 2 x 2 posts, got {self.rows} x {self.cols}"
-            )
+            raise InputError(f"a terrain needs at least 2 x 2 posts, got {self.rows} x {self.cols}")
         if not (math.isfinite(self.spacing) and self.spacing > 0.0):
             raise InputError(f"spacing must be positive and finite [m], got {self.spacing}")
         for name in ("x", "y", "datum"):

@@ -8,13 +8,13 @@ from typing import Any, Self
 
 import warp as wp
 
-from terrasim.cache import Cache
+from terrasim.cache.cache import Cache
+from terrasim.cache.ground import Ground
+from terrasim.cache.pool import layers_for
 from terrasim.errors import InputError
 from terrasim.grid import Grid
-from terrasim.ground import Ground
 from terrasim.kernels.surface import Lattice
-from terrasim.pool import layers_for
-from terrasim.source import Source
+from terrasim.sources.source import Source
 
 DEFAULT_POOL_BYTES = 64 << 20
 """Bytes of the pool's posts unless the caller says otherwise: 256 blocks."""

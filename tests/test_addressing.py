@@ -10,14 +10,14 @@ import numpy.typing as npt
 import pytest
 
 import terrasim as ts
+from terrasim.cache.needs import Boxes, Disc
+from terrasim.cache.pool import BLOCK_BYTES, BLOCK_POSTS
 from terrasim.counts import COUNT_M, Counts
 from terrasim.grid import Block, Grid, Indices, Span
 from terrasim.kernels.addressing import ABSENT, BLOCK, HEADER, PAGE
 from terrasim.kernels.surface import COARSER, OFF_TERRAIN
-from terrasim.mirror import Mirrored
-from terrasim.needs import Boxes, Disc
-from terrasim.pool import BLOCK_BYTES, BLOCK_POSTS
-from terrasim.source import block_indices
+from terrasim.sources.mirror import Mirrored
+from terrasim.sources.source import block_indices
 
 Points = npt.NDArray[np.float64]
 Random = np.random.Generator

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from terrasim.agent import Agent, ahead
+from terrasim.cache.agent import Agent, ahead
 from terrasim.grid import Grid
 
 GRID = Grid(4097, 4097, 1.0)

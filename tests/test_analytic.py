@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.analytic import Cone, Flat, Plane, Sine
-from terrasim.array_source import ArraySource
 from terrasim.counts import to_metres
-from terrasim.error_bound import curvature_bound, slope_bound
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
-from terrasim.source import Source
+from terrasim.sources.analytic import Cone, Flat, Plane, Sine
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.error_bound import curvature_bound, slope_bound
+from terrasim.sources.source import Source
 
 # One whose edges are posts of every level, and one whose edges run through cells.
 ALIGNED = Grid(1025, 513, spacing=0.5, row=-512, col=0)

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.apply import apply, coarse_bounds, locate
-from terrasim.array_source import ArraySource
 from terrasim.counts import COUNT_M, HOLE, MAX_COUNT, Counts
+from terrasim.deform.apply import apply, coarse_bounds, locate
+from terrasim.deform.stamps import Crater, Gaussian, Stamp
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
-from terrasim.stamps import Crater, Gaussian, Stamp
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 SMALL_POOL = 10 << 18
@@ -338,7 +338,7 @@ def test_a_stamp_too_far_to_be_numbered_is_refused_and_nothing_changes() -> None
 
 def test_more_columns_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     # The package offers the function under the module's name.
-    monkeypatch.setattr(sys.modules["terrasim.apply"], "MAX_COLUMNS", 10)
+    monkeypatch.setattr(sys.modules["terrasim.deform.apply"], "MAX_COLUMNS", 10)
     grid = Grid(20, 20, 1.0)
     with Terrain(ArraySource(np.zeros((20, 20), np.int32), grid)) as terrain:
         with pytest.raises(InputError, match=r"the stamps span 11 columns .* apply fewer"):

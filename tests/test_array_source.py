@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrasim.array_source import ArraySource
-from terrasim.build import build_store
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
-from terrasim.store import open_store
+from terrasim.sources.array_source import ArraySource
+from terrasim.store.build import build_store
+from terrasim.store.store import open_store
 
 
 def rough(rows: int, cols: int, seed: int = 0) -> Counts:
@@ -125,7 +125,7 @@ def test_an_error_measured_in_strips_equals_one_measured_whole(
     """How the comparison is cut does not matter."""
     heights = rough(300, 70)
     whole = ArraySource(heights, Grid(300, 70, 1.0)).block(Block(1, 0, 0)).error
-    monkeypatch.setattr("terrasim.array_source._STRIP_POSTS", 64)
+    monkeypatch.setattr("terrasim.sources.array_source._STRIP_POSTS", 64)
     assert ArraySource(heights, Grid(300, 70, 1.0)).block(Block(1, 0, 0)).error == whole > 0
 
 

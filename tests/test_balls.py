@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.apply import apply
-from terrasim.array_source import ArraySource
-from terrasim.balls import Balls, step, totals
+from terrasim.balls.balls import Balls, step, totals
+from terrasim.balls.half_step import half_step_error
 from terrasim.counts import COUNT_M, Counts
+from terrasim.deform.apply import apply
+from terrasim.deform.stamps import Gaussian
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
-from terrasim.half_step import half_step_error
 from terrasim.query import sample
-from terrasim.stamps import Gaussian
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 G = 9.81

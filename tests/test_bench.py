@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.bench import BENCHES, Row, bench, save, table
-from terrasim.bench_queries import _placement, numpy_heights
-from terrasim.bench_timing import median_ratio
+from terrasim.bench.bench import BENCHES, Row, bench, save, table
+from terrasim.bench.queries import _placement, numpy_heights
+from terrasim.bench.timing import median_ratio
 from terrasim.counts import HOLE
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.query import sample
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 
 def test_the_numba_loop_does_the_work_of_sample() -> None:
     """Heights and states agree to the bit: borders, holes and beyond the edge included."""
     pytest.importorskip("numba", reason="numba is a development dependency")
-    from terrasim.bench_numba import heights_loop
+    from terrasim.bench.numba_loop import heights_loop
 
     rng = np.random.default_rng(4)
     posts = rng.integers(-500_000, 500_000, (600, 700)).astype(np.int32)
@@ -59,7 +59,7 @@ def test_every_layout_gives_the_same_heights() -> None:
     """Each variant finds the same posts at its own places."""
     import warp as wp
 
-    from terrasim.bench_layout import POSTS, _laid_out
+    from terrasim.bench.layout import POSTS, _laid_out
     from terrasim.kernels.layout import VARIANTS
 
     rng = np.random.default_rng(6)

@@ -17,12 +17,12 @@ import apsw
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.build import build_store
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Grid
-from terrasim.store import info, open_store
+from terrasim.sources.array_source import ArraySource
+from terrasim.store.build import build_store
+from terrasim.store.store import info, open_store
 
 GRID = Grid(1300, 700, 2.0, row=-5)
 
@@ -94,7 +94,7 @@ import os
 import sys
 import time
 import test_build
-from terrasim.build import build_store
+from terrasim.store.build import build_store
 
 def tell(fraction, message):
     print(fraction, message, flush=True)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from terrasim.cli import command
-from terrasim.import_options import ImportOptions
+from terrasim.dem.import_options import ImportOptions
 
 SMALL = """
 description = "small"
@@ -205,7 +205,7 @@ def test_failed_work_is_one_line_too(
     def fail(*_: Any, **__: Any) -> None:
         raise raised
 
-    monkeypatch.setattr("terrasim.run._simulate", fail)
+    monkeypatch.setattr("terrasim.scenario.run._simulate", fail)
     found, out, error = ran("run", small, "--out", "a")
     assert (found, out) == (status, "")
     if error or status != 130:

@@ -12,10 +12,10 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrasim.codec import CODEC, MAX_POSTS, StoreCorrupt, common_factor, pack, unpack
 from terrasim.counts import HOLE, MAX_COUNT, Counts
 from terrasim.errors import InputError, RunError
 from terrasim.kernels.addressing import BLOCK
+from terrasim.store.codec import CODEC, MAX_POSTS, StoreCorrupt, common_factor, pack, unpack
 
 
 def hills(step: int = 1, seed: int = 0) -> Counts:

@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.balls import Balls, step, totals
+from terrasim.balls.balls import Balls, step, totals
 from terrasim.counts import COUNT_M, HOLE, Counts
 from terrasim.grid import Grid
 from terrasim.query import sample
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 G = 9.81

@@ -16,16 +16,16 @@ import pytest
 import warp as wp
 
 import terrasim as ts
-from terrasim import pool as pool_module
-from terrasim import table as table_module
-from terrasim.cache import Cache
+from terrasim.cache import pool as pool_module
+from terrasim.cache import table as table_module
+from terrasim.cache.cache import Cache
+from terrasim.cache.ground import Ground
+from terrasim.cache.needs import Disc, region_blocks
+from terrasim.cache.pool import BLOCK_POSTS, STAGING_SLOTS
 from terrasim.counts import Counts
 from terrasim.grid import Block, Grid, Indices
-from terrasim.ground import Ground
 from terrasim.kernels.addressing import ABSENT, BLOCK, HEADER, PAGE
-from terrasim.needs import Disc, region_blocks
-from terrasim.pool import BLOCK_POSTS, STAGING_SLOTS
-from terrasim.source import BlockData, read_block
+from terrasim.sources.source import BlockData, read_block
 
 SIDE = 8
 GRID = Grid(SIDE * BLOCK - 8, SIDE * BLOCK - 8, 1.0)
@@ -103,7 +103,7 @@ class Step:
 
 
 class Gpu:
-    """What ``terrasim.pool`` and ``terrasim.table`` ask of Warp, with memory of the host."""
+    """What the pool and the tables ask of Warp, with memory of the host."""
 
     is_cuda = True
     int32 = wp.int32

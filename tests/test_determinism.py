@@ -13,13 +13,13 @@ import pytest
 import warp as wp
 
 import terrasim as ts
+from terrasim.cache.needs import Boxes, Disc
+from terrasim.cache.pool import BLOCK_BYTES
 from terrasim.counts import Counts
 from terrasim.grid import Block, Grid, Indices
 from terrasim.kernels.sample import sample_surface
 from terrasim.launch import launch
-from terrasim.needs import Boxes, Disc
-from terrasim.pool import BLOCK_BYTES
-from terrasim.source import BlockData, read_block
+from terrasim.sources.source import BlockData, read_block
 
 GRID = Grid(8161, 8161, 1.0, x=0.25, row=-8192)
 """1,365 blocks, one of them the top."""

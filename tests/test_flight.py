@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.bench_flight import POSTS_PER_STEP, RADIUS, blocks_passed, flight_path, fly
+from terrasim.bench.flight import POSTS_PER_STEP, RADIUS, blocks_passed, flight_path, fly
+from terrasim.cache.needs import Disc
 from terrasim.grid import Grid
-from terrasim.mirror import Mirrored
-from terrasim.needs import Disc
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.mirror import Mirrored
 from terrasim.terrain import Terrain
 
 SIDE = (1 << 13) + 1

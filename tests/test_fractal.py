@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
 from terrasim.errors import InputError
-from terrasim.fractal import Fractal
-from terrasim.gradient_noise import add_octave, octave_error, octaves
 from terrasim.grid import Block, Grid
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.fractal import Fractal
+from terrasim.sources.gradient_noise import add_octave, octave_error, octaves
 
 HUGE = Grid(2**30 - 1, 2**30 - 1, spacing=1.0, row=-(2**29), col=-(2**29))
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.balls import Balls
+from terrasim.balls.balls import Balls
+from terrasim.balls.half_step import half_step_error
 from terrasim.counts import Counts
 from terrasim.grid import Grid
-from terrasim.half_step import half_step_error
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 G = 9.81

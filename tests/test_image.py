@@ -12,10 +12,10 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.counts import HOLE
+from terrasim.dem.height_rows import SouthUpRows
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import open_input
 from terrasim.errors import InputError
-from terrasim.height_rows import SouthUpRows
-from terrasim.import_options import ImportOptions
-from terrasim.imports import open_input
 
 
 def write_image(

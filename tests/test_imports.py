@@ -14,10 +14,10 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.counts import HOLE
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import describe_input, import_terrain, open_input
 from terrasim.errors import InputError
-from terrasim.import_options import ImportOptions
-from terrasim.imports import describe_input, import_terrain, open_input
-from terrasim.store import open_store
+from terrasim.store.store import open_store
 
 VRT = (
     b"<VRTDataset rasterXSize='2' rasterYSize='2'>"
@@ -113,7 +113,7 @@ def test_a_huge_raster_is_described_without_being_read(
     dem = write_dem(tmp_path / "a.tif", rough())
     assert "range_m" in describe_input([dem])
     assert "range_m" not in describe_input([dem], scan=False)
-    monkeypatch.setattr("terrasim.imports._SCANNED", 1000)
+    monkeypatch.setattr("terrasim.dem.imports._SCANNED", 1000)
     assert "range_m" not in describe_input([dem])
     assert "range_m" in describe_input([dem], scan=True)
 
@@ -217,7 +217,7 @@ def test_a_truncated_raster_says_so_and_nothing_else(tmp_path: Path) -> None:
     dem = write_dem(tmp_path / "a.tif", rough(600, 600), compress="deflate")
     dem.write_bytes(dem.read_bytes()[: dem.stat().st_size // 2])
     code = (
-        "import sys; from terrasim.imports import *\n"
+        "import sys; from terrasim.dem.imports import *\n"
         "try: import_terrain([sys.argv[1]], sys.argv[2])\n"
         "except ValueError as error: print(type(error).__name__, error)\n"
     )
@@ -267,7 +267,7 @@ def test_an_unknown_crs_is_refused(tmp_path: Path) -> None:
 def test_describing_loads_neither_images_nor_plots(tmp_path: Path) -> None:
     """Importing the module alone loads no raster library at all."""
     code = (
-        "import sys, terrasim.imports\n"
+        "import sys, terrasim.dem.imports\n"
         "print([n for n in ('rasterio', 'OpenImageIO', 'matplotlib') if n in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,11 +7,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
 from terrasim.counts import COUNT_M, HOLE, Counts
 from terrasim.grid import Grid, Span
-from terrasim.mesh import Outline, TileMesh, outline, tile_counts, tile_mesh, tile_origin
-from terrasim.tiles import TILE, Tile, choose_tiles
+from terrasim.output.mesh import Outline, TileMesh, outline, tile_counts, tile_mesh, tile_origin
+from terrasim.output.tiles import TILE, Tile, choose_tiles
+from terrasim.sources.array_source import ArraySource
 
 
 def posts_of(source: ArraySource, tile: Tile) -> Counts:

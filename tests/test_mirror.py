@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrasim.analytic import Plane, Sine
-from terrasim.array_source import ArraySource
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
-from terrasim.fractal import Fractal
 from terrasim.grid import Block, Grid, Indices
-from terrasim.mirror import Mirrored
-from terrasim.resample import resample_power_of_two
-from terrasim.source import BlockData
+from terrasim.sources.analytic import Plane, Sine
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.fractal import Fractal
+from terrasim.sources.mirror import Mirrored
+from terrasim.sources.resample import resample_power_of_two
+from terrasim.sources.source import BlockData
 
 
 def rough(rows: int, cols: int, *, holes: int = 0, row: int = 0, col: int = 0) -> ArraySource:

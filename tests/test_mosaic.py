@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.counts import HOLE
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import open_input
 from terrasim.errors import InputError
-from terrasim.import_options import ImportOptions
-from terrasim.imports import open_input
 
 
 def write_tile(
@@ -59,8 +59,8 @@ def test_the_raster_named_first_wins_on_the_real_seam(shared_terrain: Path) -> N
     """In the files' own degrees, so that no resampling stands between."""
     import rasterio
 
-    from terrasim.mosaic import join, vrt
-    from terrasim.raster import read_tile
+    from terrasim.dem.mosaic import join, vrt
+    from terrasim.dem.raster import read_tile
 
     paths = [shared_terrain / "N47W123.hgt", shared_terrain / "N48W123.hgt"]
     with rasterio.open(paths[0]) as south, rasterio.open(paths[1]) as north:

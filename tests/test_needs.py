@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from terrasim.cache.needs import Boxes, Disc, region_blocks
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Span
 from terrasim.kernels.addressing import BLOCK
-from terrasim.needs import Boxes, Disc, region_blocks
 
 GRID = Grid(2000, 3000, 1.0, row=-900, col=-1300)
 

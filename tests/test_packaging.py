@@ -70,7 +70,9 @@ def test_a_relative_link_shows_the_folder_inside_the_package(folder: str) -> Non
 
 def test_every_folder_of_code_is_a_listed_package() -> None:
     """One that is missing from the list would work here and be absent from the wheel."""
-    listed = PYPROJECT["tool"]["setuptools"]["package-dir"].values()
+    mapping = PYPROJECT["tool"]["setuptools"]["package-dir"]
+    packages = PYPROJECT["tool"]["setuptools"]["packages"]
+    listed = [mapping.get(name, name.replace(".", "/")) for name in packages]
     holding = {
         path.parent.relative_to(ROOT).as_posix()
         for top in ("terrasim", "kernels", "server")
@@ -82,12 +84,21 @@ def test_every_folder_of_code_is_a_listed_package() -> None:
 
 
 def test_every_data_file_is_packaged() -> None:
-    patterns = PYPROJECT["tool"]["setuptools"]["package-data"]["terrasim"]
-    data = [path.name for path in (ROOT / "terrasim").iterdir() if path.is_file()]
-    assert "py.typed" in data
-    assert [
-        name for name in data if not any(fnmatch(name, one) for one in [*patterns, "*.py"])
-    ] == []
+    patterns = PYPROJECT["tool"]["setuptools"]["package-data"]
+    for package in ("terrasim", *(name for name in patterns if name != "terrasim")):
+        assert package in PYPROJECT["tool"]["setuptools"]["packages"]
+    missing = [
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "terrasim").rglob("*.*")
+        if path.is_file()
+        and path.suffix not in {".py", ".pyc"}
+        and not any(
+            fnmatch(path.name, one)
+            for one in patterns.get(".".join(path.parent.relative_to(ROOT).parts), [])
+        )
+    ]
+    assert missing == []
+    assert (ROOT / "terrasim" / "py.typed").is_file()
 
 
 def test_the_licence_is_apache() -> None:

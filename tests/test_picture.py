@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from terrasim.colours import LOWERED, RAISED, ramp, tinted
+from terrasim.deform.stamps import Crater
 from terrasim.errors import RunError
 from terrasim.grid import Grid
-from terrasim.picture import ALTITUDE_DEG, Tracks, View, draw_picture, hillshade
-from terrasim.scenario import parse_scenario
-from terrasim.source import Source
-from terrasim.stamps import Crater
+from terrasim.output.colours import LOWERED, RAISED, ramp, tinted
+from terrasim.output.picture import ALTITUDE_DEG, Tracks, View, draw_picture, hillshade
+from terrasim.output.views import Happening, close_up, on_triangles, site, views_of
+from terrasim.scenario.scenario import parse_scenario
+from terrasim.sources.source import Source
 from terrasim.terrain import Terrain
-from terrasim.views import Happening, close_up, on_triangles, site, views_of
 
 NONE = Happening([], np.zeros((0, 0, 2)), np.zeros(0))
 
@@ -149,7 +149,7 @@ def test_a_view_at_the_rim_is_moved_inside() -> None:
 
 
 def test_views_show_what_deformations_did() -> None:
-    from terrasim.apply import apply
+    from terrasim.deform.apply import apply
 
     crater = Crater(10.0, -20.0, 30.0, 4.0)
     happening = Happening([crater], np.zeros((0, 0, 2)), np.zeros(0))

@@ -10,10 +10,10 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.counts import HOLE, Counts
+from terrasim.dem.height_rows import SouthUpRows
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import open_input
 from terrasim.errors import InputError
-from terrasim.height_rows import SouthUpRows
-from terrasim.import_options import ImportOptions
-from terrasim.imports import open_input
 
 SECOND = 1.0 / 3600.0
 DEGREES = (3 * SECOND, 0.0, -117.0, 0.0, -3 * SECOND, 34.0)

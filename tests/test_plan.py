@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from terrasim.device_memory import counted_memory
 from terrasim.errors import InputError
-from terrasim.plan import DEVICE, HOST, frame_steps, make_plan
-from terrasim.run import plan_file, run_file
-from terrasim.scenario import Scenario, parse_scenario
-from terrasim.simulation import Setup, Simulation
-from terrasim.stages import StageTimer
+from terrasim.scenario.device_memory import counted_memory
+from terrasim.scenario.plan import DEVICE, HOST, frame_steps, make_plan
+from terrasim.scenario.run import plan_file, run_file
+from terrasim.scenario.scenario import Scenario, parse_scenario
+from terrasim.scenario.simulation import Setup, Simulation
+from terrasim.scenario.stages import StageTimer
 
 SCENARIOS = sorted((Path(__file__).resolve().parents[1] / "scenarios").glob("*.toml"))
 FLAT = {"kind": "flat", "rows": 600, "cols": 600, "spacing": 1.0}

@@ -7,11 +7,11 @@ import pytest
 import warp as wp
 
 import terrasim as ts
+from terrasim.cache.pool import BLOCK_BYTES, BLOCK_POSTS, MAX_LAYERS, Pool, layers_for
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.kernels.addressing import BLOCK
-from terrasim.pool import BLOCK_BYTES, BLOCK_POSTS, MAX_LAYERS, Pool, layers_for
 
 CPU = wp.get_device("cpu")
 LARGE = Grid(10_000, 10_000, 1.0)

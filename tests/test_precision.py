@@ -9,10 +9,10 @@ import numpy.typing as npt
 import pytest
 
 import terrasim as ts
+from terrasim.cache.pool import BLOCK_BYTES
 from terrasim.counts import Counts
 from terrasim.grid import Grid
 from terrasim.kernels.addressing import BLOCK
-from terrasim.pool import BLOCK_BYTES
 
 SIDE = 700
 """Posts along a side: three levels."""

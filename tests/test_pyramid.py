@@ -9,13 +9,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from terrasim.array_source import ArraySource
 from terrasim.counts import HOLE, MAX_COUNT, Counts
 from terrasim.errors import RunError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
-from terrasim.pyramid import SourceRows, block_error, block_rows, cell_errors, level_errors
-from terrasim.source import block_indices
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.source import block_indices
+from terrasim.store.pyramid import SourceRows, block_error, block_rows, cell_errors, level_errors
 
 
 def rough(rows: int, cols: int, seed: int = 0, holes: int = 0, reach: int = 10**6) -> Counts:

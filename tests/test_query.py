@@ -11,12 +11,12 @@ import pytest
 import warp as wp
 
 import terrasim as ts
+from terrasim.cache.pool import BLOCK_BYTES
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
 from terrasim.kernels.surface import COARSER, IN_HOLE, OFF_TERRAIN
-from terrasim.pool import BLOCK_BYTES
 
 Metres = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import terrasim as ts
-from terrasim.cache import Cache
+from terrasim.cache.cache import Cache
+from terrasim.cache.needs import Boxes, Disc, region_blocks
+from terrasim.cache.pool import BLOCK_BYTES
 from terrasim.counts import Counts
 from terrasim.grid import Block, Grid, Indices
 from terrasim.kernels.addressing import ABSENT, BLOCK
-from terrasim.needs import Boxes, Disc, region_blocks
-from terrasim.pool import BLOCK_BYTES
-from terrasim.source import BlockData, read_block
+from terrasim.sources.source import BlockData, read_block
 
 SIDE = 8
 """Level-0 blocks along a side; then 4, 2 and one at the top."""

@@ -8,15 +8,15 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.analytic import Plane
-from terrasim.array_source import ArraySource
-from terrasim.cache import Cache
+from terrasim.cache.cache import Cache
 from terrasim.counts import HOLE
 from terrasim.grid import Block, Grid
 from terrasim.kernels.ray_cell import FROM_BELOW, MISSED
 from terrasim.kernels.surface import COARSER
 from terrasim.query import sample
 from terrasim.raycast import raycast
+from terrasim.sources.analytic import Plane
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 Table = npt.NDArray[np.float64]

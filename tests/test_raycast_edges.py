@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrasim.apply import apply
-from terrasim.array_source import ArraySource
+from terrasim.deform.apply import apply
+from terrasim.deform.stamps import Gaussian
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.kernels.ray_cell import FROM_BELOW, MISSED
 from terrasim.raycast import raycast
-from terrasim.stamps import Gaussian
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 DOWN = np.array([[0.0, 0.0, -1.0]])

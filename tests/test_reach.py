@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.balls import Balls, reach, step, totals
+from terrasim.balls.balls import Balls, reach, step, totals
 from terrasim.counts import Counts
 from terrasim.grid import Grid
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 G = 9.81

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from terrasim.analytic import Plane, Sine
-from terrasim.array_source import ArraySource
 from terrasim.counts import HOLE, MAX_COUNT, Counts
 from terrasim.errors import InputError
-from terrasim.fractal import Fractal
 from terrasim.grid import Block, Grid
-from terrasim.refine import Refined
-from terrasim.source import Source
+from terrasim.sources.analytic import Plane, Sine
+from terrasim.sources.array_source import ArraySource
+from terrasim.sources.fractal import Fractal
+from terrasim.sources.refine import Refined
+from terrasim.sources.source import Source
 
 
 def hills(rows: int, cols: int, amplitude: float = 20.0) -> Counts:

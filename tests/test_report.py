@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from terrasim.report import _MEANING, report_html
-from terrasim.report_table import bytes_text, metres_text, number_text
-from terrasim.run import run_scenario
-from terrasim.scenario import parse_scenario
+from terrasim.output.report import _MEANING, report_html
+from terrasim.output.report_table import bytes_text, metres_text, number_text
+from terrasim.scenario.run import run_scenario
+from terrasim.scenario.scenario import parse_scenario
 
 REGION = {"size_x": 30.0, "size_y": 30.0}
 VOID = {"meta", "img", "br", "link", "input", "hr"}

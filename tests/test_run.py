@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from terrasim.grid import Block
-from terrasim.run import run_scenario
-from terrasim.scenario import Scenario, parse_scenario
-from terrasim.scenario_terrain import Ground
-from terrasim.source import BlockData, Source
+from terrasim.scenario.run import run_scenario
+from terrasim.scenario.scenario import Scenario, parse_scenario
+from terrasim.scenario.terrain import Ground
+from terrasim.sources.source import BlockData, Source
 
 TERRAIN = {
     "kind": "sine",

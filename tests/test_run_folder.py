@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from terrasim.errors import InputError, RunError
-from terrasim.run import run_file, run_scenario
-from terrasim.run_folder import run_folder
-from terrasim.scenario import Scenario, parse_scenario
+from terrasim.scenario.run import run_file, run_scenario
+from terrasim.scenario.run_folder import run_folder
+from terrasim.scenario.scenario import Scenario, parse_scenario
 
 FLAT = {"kind": "flat", "rows": 65, "cols": 65, "spacing": 1.0}
 
@@ -29,7 +29,7 @@ def test_a_failed_run_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.Monke
     def fail(*_: Any) -> None:
         raise RunError("the report cannot be written")
 
-    monkeypatch.setattr("terrasim.run.write_report", fail)
+    monkeypatch.setattr("terrasim.scenario.run.write_report", fail)
     with pytest.raises(RunError):
         run(scene(), tmp_path / "deep" / "out")
     assert list((tmp_path / "deep").iterdir()) == []
@@ -41,7 +41,7 @@ def test_an_interrupted_run_leaves_no_folder(
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("terrasim.simulation.Simulation.advance", stop)
+    monkeypatch.setattr("terrasim.scenario.simulation.Simulation.advance", stop)
     with pytest.raises(KeyboardInterrupt):
         run(scene(run={"duration_s": 1.0}), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

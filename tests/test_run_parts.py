@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from terrasim.agent_path import agent_at, along
-from terrasim.analytic import Sine
-from terrasim.counters import Counters
-from terrasim.estimate import level_errors, most_overlapping, rounding_error
-from terrasim.fingerprint import hash_arrays
+from terrasim.cache.counters import Counters
+from terrasim.deform.stamps import Crater
 from terrasim.grid import Grid, Span
-from terrasim.scenario_actors import AgentPath
-from terrasim.stages import StageTimer
-from terrasim.stamps import Crater
+from terrasim.output.window import level_window, read_window
+from terrasim.scenario.actors import AgentPath
+from terrasim.scenario.agent_path import agent_at, along
+from terrasim.scenario.estimate import level_errors, most_overlapping, rounding_error
+from terrasim.scenario.fingerprint import hash_arrays
+from terrasim.scenario.stages import StageTimer
+from terrasim.sources.analytic import Sine
 from terrasim.terrain import Terrain
-from terrasim.window import level_window, read_window
 
 GRID = Grid(1200, 1000, spacing=0.5)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from terrasim.counts import HOLE, to_metres
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import open_input
+from terrasim.dem.sample_dem import sample_dem
 from terrasim.errors import InputError
-from terrasim.import_options import ImportOptions
-from terrasim.imports import open_input
-from terrasim.sample_dem import sample_dem
 
 
 def test_jacksboro_stands_in_utm_16_without_holes() -> None:

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from terrasim.deform.stamps import REGISTRY
 from terrasim.errors import InputError
-from terrasim.scenario import (
+from terrasim.scenario.scenario import (
     flat_settings,
     load_scenario,
     parse_scenario,
     scenario_schema,
     scenario_settings,
 )
-from terrasim.scenario_terrain import FORMULAS
-from terrasim.schedule import schedule, timed_stamps
-from terrasim.stamps import REGISTRY
+from terrasim.scenario.schedule import schedule, timed_stamps
+from terrasim.scenario.terrain import FORMULAS
 
 SCENARIOS = sorted((Path(__file__).resolve().parents[1] / "scenarios").glob("*.toml"))
 REGION = {"size_x": 100.0, "size_y": 50.0}
@@ -218,7 +218,7 @@ def test_how_files_are_read_is_checked_like_the_rest() -> None:
 def test_a_large_file_is_sent_through_a_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("terrasim.scenario_terrain.MOST_POSTS", 10)
+    monkeypatch.setattr("terrasim.scenario.terrain.MOST_POSTS", 10)
     np.save(tmp_path / "ground.npy", np.zeros((4, 5)))
     terrain = {"kind": "dem", "files": ["ground.npy"], "reading": {"spacing": 2.0}}
     with pytest.raises(InputError, match="make a store of it with terrasim import"):

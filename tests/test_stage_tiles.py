@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from terrasim.run import run_scenario
-from terrasim.scenario import parse_scenario
+from terrasim.scenario.run import run_scenario
+from terrasim.scenario.scenario import parse_scenario
 
 SCENE: dict[str, Any] = {
     "terrain": {

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from terrasim.apply import apply
-from terrasim.array_source import ArraySource
 from terrasim.counts import COUNT_M
+from terrasim.deform.apply import apply
+from terrasim.deform.stamps import REGISTRY, Crater, Gaussian, Stamp
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.query import sample
-from terrasim.stamps import REGISTRY, Crater, Gaussian, Stamp
+from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
 
 

@@ -12,13 +12,13 @@ import apsw
 import numpy as np
 import pytest
 
-from terrasim.array_source import ArraySource
-from terrasim.build import build_store
 from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
-from terrasim.store import StoreCorrupt, StoreSource, info, open_store
-from terrasim.store_file import APPLICATION_ID, SCHEMA_VERSION
+from terrasim.sources.array_source import ArraySource
+from terrasim.store.build import build_store
+from terrasim.store.store import StoreCorrupt, StoreSource, info, open_store
+from terrasim.store.store_file import APPLICATION_ID, SCHEMA_VERSION
 
 GRID = Grid(600, 530, 0.1 + 0.2, x=1 / 3, y=-5e6, row=-300, col=77, datum=1234.5, crs="EPSG:32611")
 PROVENANCE = {"files": ["a.tif", "b.tif"], "unit": "metre", "filled": 12, "seam": {"max": 0.5}}
@@ -167,7 +167,7 @@ def test_a_reader_waits_for_no_other_reader(
             assert pool.submit(same, store, source, Block(1, -1, 0)).result(timeout=60)
             return ground()[:256, :256]
 
-        monkeypatch.setattr("terrasim.store.unpack", decode_slowly)
+        monkeypatch.setattr("terrasim.store.store.unpack", decode_slowly)
         store.posts(0, np.array([0]), np.array([300]))
 
 

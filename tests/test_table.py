@@ -9,13 +9,13 @@ import pytest
 import warp as wp
 
 import terrasim as ts
+from terrasim.cache.pool import BLOCK_BYTES
+from terrasim.cache.table import Table, table_entries
 from terrasim.counts import Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Indices
 from terrasim.kernels.addressing import ABSENT, HEADER, PAGE
-from terrasim.pool import BLOCK_BYTES
-from terrasim.source import BlockData, read_block
-from terrasim.table import Table, table_entries
+from terrasim.sources.source import BlockData, read_block
 
 WIDE = Grid(70_000, 90_000, 1.0, row=-33_333, col=-50_001)
 """Five pages by six or seven at level 0."""

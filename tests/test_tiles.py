@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from terrasim.errors import InputError
 from terrasim.grid import Grid, Span
-from terrasim.tiles import TILE, Tile, choose_tiles, leaf_at
+from terrasim.output.tiles import TILE, Tile, choose_tiles, leaf_at
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from terrasim.errors import RunError
-from terrasim.usd import BallPrims, Clock, MeshPrim, prim_name, sampled, write_stage
+from terrasim.output.usd import BallPrims, Clock, MeshPrim, prim_name, sampled, write_stage
 
 CLOCK = Clock(0.0, 50.0, 25.0)
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
@@ -151,7 +151,7 @@ def test_the_stage_says_its_units_axis_and_time(tmp_path: Path) -> None:
 def test_the_sun_shines_from_the_north_west() -> None:
     from pxr import Gf, Usd, UsdGeom
 
-    from terrasim.usd import _add_lights
+    from terrasim.output.usd import _add_lights
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.Xform.Define(stage, "/World")

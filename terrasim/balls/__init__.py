@@ -1,0 +1,1 @@
+"""Balls: state, step, the ground they need."""

@@ -1,0 +1,14 @@
+"""Device memory of a ball."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from terrasim.kernels.balls import Tally
+from terrasim.kernels.body import Material
+
+BALL_BYTES: int = sum(
+    wp.types.type_size_in_bytes(dtype)
+    for dtype in (wp.vec2i, wp.vec2d, wp.float64, wp.vec3d, Material, Tally)
+)
+"""Bytes of the arrays of :class:`terrasim.balls.balls.Balls`, a ball."""

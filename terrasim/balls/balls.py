@@ -1,0 +1,257 @@
+"""Balls: their state, and one step of time.
+
+A ball's place is an int32 cell and a float64 offset within it; its height is float64 metres above
+the datum. Nothing in a step depends on how far the cell is from the origin, so a scene moved by
+whole cells repeats to the bit. float64 costs little: on one CPU thread a step took 75 to 100 ns a
+ball, sorted by place, where float32 offsets with a simpler contact had been measured at 68 to 88;
+and elastic bounces at an altitude of 4,000 m keep their energy to 1e-8.
+
+Contact is with the plane of the triangle under the centre. A ball that is large against the cells,
+or lies in a valley, may cut into triangles beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from terrasim.balls.reach import Reach, next_reach
+from terrasim.cache.needs import Boxes
+from terrasim.deform.anchored import Anchor, cells
+from terrasim.errors import InputError
+from terrasim.grid import Indices
+from terrasim.kernels.balls import Tally, stand_balls, step_balls
+from terrasim.kernels.body import Material, Step
+from terrasim.launch import launch
+from terrasim.terrain import Terrain
+
+Table = npt.NDArray[np.float64]
+
+
+@dataclass
+class Balls:
+    """State of balls, arrays on the terrain's device with one entry a ball."""
+
+    cell: Any
+    """Level-0 cell (row, col), vec2i. It may lie off the terrain, where the edge goes on."""
+    offset: Any
+    """Centre from the cell's (x-, y-) post [m], vec2d, 0 to below the spacing."""
+    z: Any
+    """Centre above the datum [m], float64."""
+    velocity: Any
+    """Velocity [m/s], vec3d."""
+    material: Any
+    """Radius [m], restitution and friction, ``kernels.body.Material``."""
+    tally: Any
+    """What happened to each ball since it was made, ``kernels.balls.Tally``."""
+    reach: Reach | None = None
+    """Ground required for the coming steps. Make it None after changing cells or velocities."""
+
+    @property
+    def count(self) -> int:
+        """Number of balls."""
+        return int(self.cell.shape[0])
+
+    @classmethod
+    def at(
+        cls,
+        terrain: Terrain,
+        positions: npt.ArrayLike,
+        velocities: npt.ArrayLike = 0.0,
+        *,
+        radius: npt.ArrayLike,
+        restitution: npt.ArrayLike = 0.5,
+        friction: npt.ArrayLike = 0.5,
+        anchor: Anchor = (0, 0),
+        above_ground: bool = False,
+    ) -> Self:
+        """Balls at places.
+
+        Args:
+            terrain: The terrain they are for.
+            positions: Centres, shape ``(count, 3)``: x and y in metres from the anchor, z in world
+                metres, or above touching the ground if ``above_ground``.
+            velocities: Velocities [m/s], shape ``(count, 3)`` or what broadcasts to it.
+            radius: Radius [m], above 0, one or ``count``; restitution and friction likewise.
+            restitution: Normal speed after an impact over that before, 0 to 1.
+            friction: Coulomb's coefficient, at least 0.
+            anchor: Level-0 post (row, column) that x and y start from; it need not lie on the
+                terrain. With an anchor nearby, places are as precise far away as at the origin.
+            above_ground: Whether z counts from where a ball touches the ground below.
+
+        Returns:
+            The balls. One that starts below the ground is lifted out of it by the first step.
+
+        Raises:
+            InputError: If a number is NaN, infinite or out of its range, or a shape does not fit.
+        """
+        place = _numbers(positions, "positions", (-1, 3))
+        count = len(place)
+        speed = _numbers(velocities, "velocities", (count, 3))
+        material = np.zeros(count, dtype=_record(Material))
+        material["radius"] = _within(radius, "radius", count, math.ulp(0.0), math.inf)
+        material["restitution"] = _within(restitution, "restitution", count, 0.0, 1.0)
+        material["friction"] = _within(friction, "friction", count, 0.0, math.inf)
+        grid = terrain.grid
+        row, y = cells(place[:, 1], anchor[0], grid.spacing, "y")
+        col, x = cells(place[:, 0], anchor[1], grid.spacing, "x")
+        device = terrain.device
+        balls = cls(
+            wp.array(np.stack([row, col], axis=1), dtype=wp.vec2i, device=device),
+            wp.array(np.stack([x, y], axis=1), dtype=wp.vec2d, device=device),
+            wp.array(
+                place[:, 2] - (0.0 if above_ground else grid.datum), dtype=wp.float64, device=device
+            ),
+            wp.array(speed, dtype=wp.vec3d, device=device),
+            wp.array(material, dtype=Material, device=device),
+            wp.zeros(count, dtype=Tally, device=device),
+        )
+        if above_ground:
+            _stand(terrain, balls)
+        return balls
+
+    def positions(self, terrain: Terrain, anchor: Anchor = (0, 0)) -> Table:
+        """Centres, shape ``(count, 3)``: x and y [m] from the anchor post, world z [m]."""
+        grid = terrain.grid
+        steps = self.cell.numpy().astype(np.int64)[:, ::-1] - np.array(anchor[::-1])
+        place = steps * grid.spacing + self.offset.numpy()
+        return np.column_stack([place, self.z.numpy() + grid.datum])
+
+    def copy(self, which: Indices | None = None) -> Self:
+        """A copy of all balls, or of those with the given numbers."""
+        chosen = np.arange(self.count) if which is None else which
+        arrays: dict[str, Any] = {}
+        for name in ("cell", "offset", "z", "velocity", "material", "tally"):
+            array = getattr(self, name)
+            arrays[name] = wp.array(array.numpy()[chosen], dtype=array.dtype, device=array.device)
+        return replace(self, reach=None, **arrays)
+
+
+@dataclass(frozen=True)
+class Totals:
+    """What happened to all balls together; fields as in ``kernels.balls.Tally``."""
+
+    impacts: int
+    projected: int
+    held: int
+    off: int
+    hole: int
+    coarse: int
+    error: int
+    """Largest error bound [counts] of a level that stood in for level 0."""
+
+
+def totals(balls: Balls) -> Totals:
+    """Sums of the balls' tallies; the largest of their errors."""
+    tally = balls.tally.numpy()
+    names = ("impacts", "projected", "held", "off", "hole", "coarse")
+    sums = {name: int(tally[name].sum(dtype=np.int64)) for name in names}
+    return Totals(**sums, error=int(tally["error"].max(initial=0)))
+
+
+def reach(terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81) -> Boxes:
+    """Ground the balls may touch in the next step, for ``cache.require``; ask once a step."""
+    balls.reach = next_reach(terrain.grid, balls.cell, balls.velocity, dt, gravity, balls.reach)
+    return balls.reach.boxes
+
+
+def step(
+    terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81, require: bool = True
+) -> None:
+    """Move balls by one step of time, in place.
+
+    Flight is exact. An impact is found at its time within the step, on the plane of the triangle
+    under the centre: restitution along the normal, Coulomb's friction across it. A ball that would
+    be back on the ground within the step stays on it and slides. The error of one step is that of
+    the rule for rest and of a slide whose direction turns: first order in ``dt``.
+
+    Args:
+        terrain: The terrain.
+        balls: The balls.
+        dt: Length of the step [s], above 0.
+        gravity: Downward acceleration [m/s^2], at least 0.
+        require: Require the ground within reach first. Otherwise the caller has required
+            :func:`reach`, together with what else the step reads.
+
+    Raises:
+        InputError: If ``dt`` or ``gravity`` is out of its range.
+    """
+    if not (math.isfinite(dt) and dt > 0.0):
+        raise InputError(f"dt must be above 0 s and finite, got {dt}")
+    if not (math.isfinite(gravity) and gravity >= 0.0):
+        raise InputError(f"gravity must be at least 0 m/s^2 and finite, got {gravity}")
+    if balls.count == 0:
+        return
+    if require:
+        terrain.cache.require([reach(terrain, balls, dt, gravity=gravity)])
+    now: Any = Step()
+    now.dt, now.gravity = dt, gravity
+    launch(
+        step_balls,
+        balls.count,
+        shared=[terrain.pool, terrain.required, terrain.error, terrain.lattice, now, terrain.used],
+        items=[
+            balls.material,
+            balls.cell,
+            balls.offset,
+            balls.z,
+            balls.velocity,
+            balls.tally,
+        ],
+        device=terrain.device,
+        threads=terrain.threads,
+    )
+
+
+def _stand(terrain: Terrain, balls: Balls) -> None:
+    """Turn heights above touching the ground into heights above the datum."""
+    terrain.cache.require([reach(terrain, balls, 0.0, gravity=0.0)])
+    launch(
+        stand_balls,
+        balls.count,
+        shared=[terrain.pool, terrain.required, terrain.lattice],
+        items=[balls.material, balls.cell, balls.offset, balls.z],
+        device=terrain.device,
+        threads=terrain.threads,
+    )
+
+
+def _record(struct: Any) -> Any:
+    return struct.numpy_dtype()
+
+
+def _numbers(values: npt.ArrayLike, name: str, shape: tuple[int, int]) -> Table:
+    """Finite float64 values of a shape; -1 takes any number of rows."""
+    try:
+        table = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} must be an array of numbers: {error}") from None
+    if shape[0] >= 0 and table.shape in {(), (3,), (1, 3)}:
+        table = np.broadcast_to(table, shape)
+    if table.ndim != 2 or table.shape[1] != 3 or shape[0] not in {-1, len(table)}:
+        count = "count" if shape[0] < 0 else shape[0]
+        raise InputError(f"{name} must have shape ({count}, 3), got {table.shape}")
+    bad = ~np.isfinite(table)
+    if bad.any():
+        first = int(np.argwhere(bad)[0, 0])
+        raise InputError(f"{name}[{first}] must be finite, got {tuple(table[first].tolist())}")
+    return np.ascontiguousarray(table)
+
+
+def _within(values: npt.ArrayLike, name: str, count: int, low: float, high: float) -> Table:
+    """One finite value a ball, from ``low`` to ``high``."""
+    try:
+        table = np.broadcast_to(np.asarray(values, dtype=np.float64), (count,))
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be one number or {count} of them, got {values!r}") from None
+    bad = ~(np.isfinite(table) & (table >= low) & (table <= high))
+    if bad.any():
+        rule = "above 0" if name == "radius" else f"at least {low:g}"
+        rule += f" and at most {high:g}" if math.isfinite(high) else " and finite"
+        raise InputError(f"{name} must be {rule}, got {table[bad][0]}")
+    return table

@@ -1,0 +1,1 @@
+"""What is resident: pool, pointer tables, needs, jobs, and the ground behind them."""

@@ -1,0 +1,1 @@
+"""Reading files of heights: rasters, images, arrays; several files as one terrain."""

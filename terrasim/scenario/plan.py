@@ -1,0 +1,279 @@
+"""What a scenario needs before anything of it is made: parts, imports, kernels, buffers.
+
+What is not in the plan is not imported, not compiled and not allocated. Bytes come from formulas
+of the scenario alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from terrasim.cache.pool import BLOCK_BYTES, BLOCK_POSTS, STAGING_SLOTS, layers_for
+from terrasim.cache.table import table_entries
+from terrasim.errors import InputError
+from terrasim.grid import Grid
+from terrasim.scenario.actors import AgentPath, SampleGroup
+from terrasim.scenario.scenario import Scenario
+from terrasim.scenario.terrain import DemGround, Ground, SampleGround, StoreGround
+from terrasim.sources.source import Source
+
+DEVICE, HOST = "device", "host"
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something a run can do."""
+
+    name: str
+    """What it is."""
+    used: bool
+    """Whether this run does it."""
+    why: str
+    """What in the scenario decides that."""
+    modules: tuple[str, ...] = ()
+    """Libraries it imports."""
+    kernels: tuple[str, ...] = ()
+    """Warp modules it compiles."""
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """Memory that is held through the run."""
+
+    name: str
+    """What is in it."""
+    part: str
+    """The part that needs it."""
+    place: str
+    """``device``, as Warp's allocator counts it, or ``host``."""
+    bytes: int
+    """Its size."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that a scenario needs."""
+
+    scenario: str
+    """The scenario's name."""
+    device: str
+    """The device it runs on."""
+    grid: Grid
+    """Placement of the posts."""
+    synthetic: str
+    """What part of the heights is invented; empty if none is."""
+    anchor: tuple[int, int]
+    """Row and column of the post that places are measured from."""
+    steps: int
+    """Time steps."""
+    parts: tuple[Part, ...]
+    """What it does, and what it leaves out."""
+    buffers: tuple[Buffer, ...]
+    """What it allocates."""
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Libraries that are imported, each once."""
+        used = (name for part in self.parts if part.used for name in part.modules)
+        return tuple(dict.fromkeys(used))
+
+    @property
+    def kernels(self) -> tuple[str, ...]:
+        """Warp modules that are compiled, each once."""
+        used = (name for part in self.parts if part.used for name in part.kernels)
+        return tuple(dict.fromkeys(used))
+
+    @property
+    def left_out(self) -> tuple[Part, ...]:
+        """Parts that are not used."""
+        return tuple(part for part in self.parts if not part.used)
+
+    def total_bytes(self, place: str) -> int:
+        """Bytes of all buffers in a place."""
+        return sum(buffer.bytes for buffer in self.buffers if buffer.place == place)
+
+    def as_json(self) -> dict[str, Any]:
+        """The plan, ready for JSON."""
+        return {
+            **asdict(self),
+            "left_out": [part.name for part in self.left_out],
+            "modules": list(self.modules),
+            "kernels": list(self.kernels),
+            "device_bytes": self.total_bytes(DEVICE),
+            "host_bytes": self.total_bytes(HOST),
+        }
+
+
+def make_plan(scenario: Scenario, source: Source) -> Plan:
+    """Turn a scenario into a plan.
+
+    Args:
+        scenario: The scenario.
+        source: Its terrain's source; only its grid is looked at.
+
+    Raises:
+        InputError: If the pool is too small or too large, the anchor lies off the terrain, or
+            something asks for a level there is not.
+    """
+    grid = source.grid
+    parts = (
+        terrain_part(scenario),
+        *actor_parts(scenario),
+        *output_parts(scenario),
+    )
+    _check_levels(scenario, grid)
+    used = {part.name for part in parts if part.used}
+    buffers = [*pool_buffers(scenario, grid), *ball_buffers(scenario)]
+    return Plan(
+        scenario.name,
+        scenario.run.device,
+        grid,
+        source.synthetic,
+        anchor_of(scenario, grid),
+        scenario.steps,
+        parts,
+        tuple(buffer for buffer in buffers if buffer.part in used),
+    )
+
+
+def anchor_of(scenario: Scenario, grid: Grid) -> tuple[int, int]:
+    """Row and column of the anchor post.
+
+    Raises:
+        InputError: If it lies off the terrain.
+    """
+    if scenario.anchor is None:
+        return grid.row + (grid.rows - 1) // 2, grid.col + (grid.cols - 1) // 2
+    row, col = scenario.anchor.row, scenario.anchor.col
+    if not (grid.row <= row < grid.row + grid.rows and grid.col <= col < grid.col + grid.cols):
+        raise InputError(
+            f"anchor post ({row}, {col}) lies off the terrain: its rows are {grid.row} to "
+            f"{grid.row + grid.rows - 1}, its columns {grid.col} to {grid.col + grid.cols - 1}"
+        )
+    return row, col
+
+
+def _check_levels(scenario: Scenario, grid: Grid) -> None:
+    actors: list[tuple[str, Sequence[SampleGroup | AgentPath]]]
+    actors = [("samples", scenario.samples), ("agents", scenario.agents)]
+    for name, group in actors:
+        for index, one in enumerate(group, 1):
+            if one.level > grid.top:
+                raise InputError(
+                    f"{name}[{index}].level must be 0 to {grid.top} on this terrain, "
+                    f"got {one.level}"
+                )
+
+
+def terrain_part(scenario: Scenario) -> Part:
+    """The terrain and its cache."""
+    ground: Ground = scenario.terrain
+    modules = ["numpy", "warp"]
+    if isinstance(ground, StoreGround):
+        modules += ["apsw", "zstandard"]
+    if isinstance(ground, DemGround | SampleGround):
+        modules += ["rasterio"]
+    if isinstance(ground, DemGround) and any(_image(name) for name in ground.files):
+        modules += ["OpenImageIO"]
+    if isinstance(ground, SampleGround):
+        modules += ["matplotlib"]
+    on_cuda = scenario.run.device != "cpu"
+    kernels = ("terrasim.kernels.transfer",) if on_cuda else ()
+    return Part("terrain", True, f"terrain.kind = {ground.kind!r}", tuple(modules), kernels)
+
+
+def actor_parts(scenario: Scenario) -> list[Part]:
+    """What happens on the ground."""
+    stamps = len(scenario.stamps) + sum(group.count for group in scenario.scatter)
+    balls = sum(group.count for group in scenario.balls)
+    checked = checked_balls(scenario)
+    samples = sum(group.count for group in scenario.samples)
+    rerun = checked > 0 and scenario.steps > 0
+    return [
+        Part("stamps", stamps > 0, _number(stamps, "stamp"), kernels=("terrasim.kernels.stamps",)),
+        Part(
+            "balls",
+            balls > 0,
+            _number(balls, "ball"),
+            kernels=("terrasim.kernels.balls",),
+        ),
+        Part(
+            "check at half the step",
+            rerun,
+            f"{checked} of {balls} balls" if rerun else "no moving balls to check",
+        ),
+        Part("agents", bool(scenario.agents), _number(len(scenario.agents), "agent")),
+        Part(
+            "samples", samples > 0, _number(samples, "place"), kernels=("terrasim.kernels.sample",)
+        ),
+    ]
+
+
+def output_parts(scenario: Scenario) -> list[Part]:
+    """What the run leaves behind."""
+    output = scenario.output
+    return [
+        Part("record and report", True, "always"),
+        _output("picture", output.picture, ("matplotlib",)),
+        _output("usd", output.usd, ("pxr",)),
+        _output("parquet", output.parquet, ("pyarrow",)),
+    ]
+
+
+def pool_buffers(scenario: Scenario, grid: Grid) -> list[Buffer]:
+    """The pool and its pointer tables."""
+    layers = layers_for(grid, scenario.pool.bytes)
+    entries = table_entries(grid, layers)
+    found = [
+        Buffer(f"pool, {layers} blocks", "terrain", DEVICE, layers * BLOCK_BYTES),
+        Buffer("error bound of each block", "terrain", DEVICE, 4 * layers),
+        Buffer("blocks that queries read", "terrain", DEVICE, layers),
+        Buffer("pointer table: resident", "terrain", DEVICE, 4 * entries),
+        Buffer("pointer table: required", "terrain", DEVICE, 4 * entries),
+    ]
+    if scenario.run.device != "cpu":
+        pinned = STAGING_SLOTS * 4 * (BLOCK_POSTS + 1)
+        found.append(Buffer("pinned staging", "terrain", HOST, pinned))
+    return found
+
+
+def ball_buffers(scenario: Scenario) -> list[Buffer]:
+    """State of the balls, and what is recorded of them."""
+    count = sum(group.count for group in scenario.balls)
+    if not count:
+        return []
+    from terrasim.balls.ball_bytes import BALL_BYTES
+
+    recorded = 24 * count * len(frame_steps(scenario))
+    return [
+        Buffer(f"state of {count} balls", "balls", DEVICE, count * BALL_BYTES),
+        Buffer("recorded places of balls", "balls", HOST, recorded),
+    ]
+
+
+def checked_balls(scenario: Scenario) -> int:
+    """Balls that are run again at half the step."""
+    return min(scenario.run.checked_balls, sum(group.count for group in scenario.balls))
+
+
+def frame_steps(scenario: Scenario) -> Sequence[int]:
+    """Steps before which balls are recorded; the last is the end."""
+    if scenario.steps == 0:
+        return [0]
+    every = max(1, round(1.0 / (scenario.output.frames_per_s * scenario.run.dt_s)))
+    steps = list(range(0, scenario.steps, every))
+    return [*steps, scenario.steps]
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}" if count else f"no {what}s in the scenario"
+
+
+def _output(name: str, wanted: bool, modules: tuple[str, ...]) -> Part:
+    return Part(name, wanted, f"output.{name} = {str(wanted).lower()}", modules)
+
+
+def _image(name: str) -> bool:
+    return name.lower().endswith((".png", ".exr", ".tif", ".tiff"))

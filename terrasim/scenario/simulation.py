@@ -1,0 +1,177 @@
+"""A scenario in motion: the ground, what changes it, what moves on it, and the clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from terrasim.cache.agent import Agent, ahead
+from terrasim.cache.needs import Need
+from terrasim.deform.ledger import Ledger
+from terrasim.scenario.agent_path import agent_at
+from terrasim.scenario.scenario import Scenario
+from terrasim.scenario.schedule import Event, schedule
+from terrasim.scenario.stages import StageTimer
+from terrasim.sources.source import Source
+from terrasim.terrain import Terrain
+
+LOOKAHEAD = (4, 8, 16, 32)
+"""Steps for which agents' needs are fetched ahead."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a simulation is made from."""
+
+    scenario: Scenario
+    """The scenario."""
+    source: Source
+    """Its terrain."""
+    anchor: tuple[int, int]
+    """Row and column of the post that places are measured from."""
+    finer: int = 1
+    """Steps in one of the scenario's."""
+    chosen: npt.NDArray[np.int64] | None = None
+    """Which balls take part; all by default."""
+
+    @property
+    def dt_s(self) -> float:
+        """Time step [s]."""
+        return self.scenario.run.dt_s / self.finer
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return self.scenario.steps * self.finer
+
+
+class Simulation:
+    """Runs a scenario step by step. Close it, or use it as a context manager."""
+
+    def __init__(self, setup: Setup, timer: StageTimer) -> None:
+        """Open the terrain and make what was there before the run.
+
+        Args:
+            setup: What it is made from.
+            timer: Where its stages are counted.
+        """
+        self._setup = setup
+        self._timer = timer
+        self.step = 0
+        self.ledger = Ledger()
+        scenario = setup.scenario
+        with timer.stage("open the terrain"):
+            self.terrain = Terrain(
+                setup.source,
+                device=scenario.run.device,
+                pool_bytes=scenario.pool.bytes,
+                threads=scenario.run.threads,
+                loaders=scenario.pool.loaders,
+            )
+        self.balls: Any = None
+        try:
+            self._events = {event.step: event for event in schedule(scenario, setup.finer)}
+            self.apply_due()
+            self._place_balls()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time [s]."""
+        return self.step * self._setup.dt_s
+
+    @property
+    def agents(self) -> list[Agent]:
+        """Agents where they are now."""
+        setup = self._setup
+        spacing = self.terrain.grid.spacing
+        return [
+            agent_at(one, self.time_s, setup.dt_s, setup.anchor, spacing)
+            for one in setup.scenario.agents
+        ]
+
+    def run(self, see: Callable[[Event | None], None] | None = None) -> None:
+        """Run to the end.
+
+        Args:
+            see: Called before the first step, and between steps after the stamps that are due were
+                made, with those stamps; once more at the end.
+        """
+        see = see or _look_away
+        see(None)
+        begun = time.perf_counter()
+        while self.step < self._setup.steps:
+            self.advance()
+            if self._setup.scenario.run.paced:
+                time.sleep(max(0.0, begun + self.time_s - time.perf_counter()))
+            see(self.apply_due())
+
+    def advance(self) -> None:
+        """One step: what it reads is brought in, balls move, then the job queue works."""
+        setup, cache = self._setup, self.terrain.cache
+        agents = self.agents
+        with self._timer.stage("bring in what steps read"):
+            needs: list[Need] = [agent.need(self.terrain.grid) for agent in agents]
+            if self.balls is not None:
+                needs += self.balls.needs(self.terrain, setup.dt_s)
+            cache.require(needs)
+        if self.balls is not None:
+            with self._timer.stage("step balls"):
+                self.balls.step(self.terrain, setup.dt_s)
+        with self._timer.stage("work the job queue"):
+            cache.want(ahead(agents, self.terrain.grid, LOOKAHEAD))
+            cache.work(setup.scenario.pool.budget_ms)
+        self.step += 1
+
+    def apply_due(self) -> Event | None:
+        """Make the stamps of this step, if there are any."""
+        event = self._events.get(self.step)
+        if event is None:
+            return None
+        from terrasim.deform.apply import apply
+
+        with self._timer.stage("apply stamps"):
+            self.ledger += apply(self.terrain, event.stamps, anchor=self._setup.anchor)
+        return event
+
+    def close(self) -> None:
+        """End the terrain's threads."""
+        self.terrain.close()
+
+    def __enter__(self) -> Self:
+        """Use it as a context manager."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def _place_balls(self) -> None:
+        if not self._setup.scenario.balls:
+            return
+        from terrasim.scenario.ball_groups import MovingBalls
+
+        with self._timer.stage("place balls"):
+            self.balls = MovingBalls(self.terrain, self._setup)
+
+
+def _look_away(event: Event | None) -> None:
+    """See nothing."""
+
+
+def stamps_of(events: Sequence[Event]) -> list[Any]:
+    """All stamps of some events."""
+    return [stamp for event in events for stamp in event.stamps]

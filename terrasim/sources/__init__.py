@@ -1,0 +1,1 @@
+"""Where heights come from without a store: formulas, noise, arrays, and sources made of sources."""

@@ -1,0 +1,1 @@
+"""A terrain in one SQLite file: packed blocks of every level, and the streamed build."""
