@@ -1,4 +1,4 @@
-"""Rays: exact on the triangles, watertight, and the same whatever is resident."""
+"""Rays: exact on the triangles, watertight, the same as other ways to find them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from terrasim.cache.cache import Cache
 from terrasim.counts import HOLE
-from terrasim.grid import Block, Grid
+from terrasim.grid import Grid
 from terrasim.kernels.ray_cell import FROM_BELOW, MISSED
-from terrasim.kernels.surface import COARSER
 from terrasim.query import sample
 from terrasim.raycast import raycast
 from terrasim.sources.analytic import Plane
@@ -158,48 +156,6 @@ def test_normals_and_levels_of_a_plane_are_exact() -> None:
             assert set(found.level[hit]) == {level}
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
-def test_the_pool_the_threads_and_what_was_resident_change_no_bit(level: int) -> None:
-    """Eight blocks or all of them, one thread or three: the same hits."""
-    source = rough(1100, 1100, Grid(1100, 1100, 1.0, row=-500, col=-300))
-    origins, directions = shots(1500, 1100.0)
-    origins[:, :2] -= [300.0, 500.0]
-    directions[:, 2] *= 0.05
-    answers = []
-    for pool, threads in ((9, 1), (64, 3)):
-        with Terrain(source, pool_bytes=pool * 262_144, threads=threads) as terrain:
-            answers.append(raycast(terrain, origins, directions, max_distance=1500.0, level=level))
-    for name in ("distance", "point", "normal", "error", "level", "state"):
-        np.testing.assert_array_equal(getattr(answers[0], name), getattr(answers[1], name))
-    assert np.isfinite(answers[0].distance).sum() > 100
-
-
-def test_without_waiting_the_finest_resident_level_stands_in_and_is_counted() -> None:
-    """Nothing but the coarsest level is there at first."""
-    with Terrain(rough(1000, 1000, Grid(1000, 1000, 1.0))) as terrain:
-        start = np.array([[100.0, 100.0, 50.0]])
-        found = raycast(terrain, start, [[1.0, 0.5, -0.5]], max_distance=500.0, wait=False)
-        assert found.state[0] == COARSER
-        assert found.level[0] == terrain.grid.top
-        assert terrain.cache.counters.fallbacks == 1
-        exact = raycast(terrain, start, [[1.0, 0.5, -0.5]], max_distance=500.0)
-        assert exact.state[0] == 0
-
-
-def test_a_scene_moved_by_whole_blocks_gives_the_same_bits() -> None:
-    """At 2^23 m from the origin, with starts that float64 holds exactly in both places."""
-    far = 1 << 23
-    origins, directions = shots(800, 300.0)
-    origins[:, :2] = np.round(origins[:, :2] * 1024.0) / 1024.0
-    found = []
-    for moved in (0, far):
-        source = rough(300, 300, Grid(300, 300, 1.0, row=moved, col=moved))
-        with Terrain(source) as terrain:
-            start = origins + np.array([moved, moved, 0.0])
-            found.append(raycast(terrain, start, directions, max_distance=400.0))
-    np.testing.assert_array_equal(found[0].distance, found[1].distance)
-
-
 def test_a_level_is_the_surface_of_every_second_post() -> None:
     """Rays at level 1 meet what they would meet on a terrain of those posts alone."""
     source = rough(601, 601, Grid(601, 601, 1.0))
@@ -212,64 +168,6 @@ def test_a_level_is_the_surface_of_every_second_post() -> None:
     assert np.isfinite(expected.distance).sum() > 300
     np.testing.assert_allclose(found.distance, expected.distance, rtol=0.0, atol=1e-9)
     np.testing.assert_array_equal(found.normal, expected.normal)
-
-
-def test_leaping_over_blocks_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Low and high blocks, peaks and a hole among them: as if every cell had been walked."""
-    posts = np.random.default_rng(9).integers(0, 100_000, (700, 700)).astype(np.int32)
-    posts[400::37, ::41] = 2_000_000
-    posts[300:420, 200:420] += 1_000_000
-    posts[500:520, 500:520] = HOLE
-    source = ArraySource(posts, Grid(700, 700, 1.0, row=-350, col=-350))
-    origins, directions = shots(4000, 700.0)
-    origins += [-350.0, -350.0, 15.0]
-    directions[:, 2] = -0.6 * np.abs(directions[:, 2])
-    with Terrain(source) as terrain:
-        found = raycast(terrain, origins, directions, max_distance=900.0)
-        told = []
-        for highest in (2**31 - 1, HOLE):
-            assumed = np.full(terrain.cache.pool.layers, highest, dtype=np.int32)
-            monkeypatch.setattr(Cache, "highest", assumed)
-            told.append(raycast(terrain, origins, directions, max_distance=900.0))
-    walked, leapt = told
-    hits = np.isfinite(walked.distance).sum()
-    assert 1000 < hits < 3900
-    # What is told of the blocks is used: a lie about them is followed.
-    assert np.count_nonzero(leapt.distance != walked.distance) > 0.5 * hits
-    for name in ("distance", "point", "normal", "state"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(walked, name))
-
-
-def test_no_ray_slips_between_two_levels() -> None:
-    """Where a fine block lies beside a coarse one the gap between them counts as ground."""
-    source = rough(1100, 1100, Grid(1100, 1100, 1.0))
-    rng = np.random.default_rng(10)
-    count = 20_000
-    # Down in a slant that crosses the border of the one fine block, at rows or columns 255 to 257.
-    side = rng.uniform(250.0, 262.0, count)
-    other = rng.uniform(260.0, 500.0, count)
-    swap = rng.random(count) < 0.5
-    origins = np.column_stack(
-        [np.where(swap, side, other), np.where(swap, other, side), np.full(count, 10.0)]
-    )
-    directions = rng.normal(0.0, 1.0, (count, 3))
-    directions[:, 2] = -1.5
-    with Terrain(source) as terrain:
-        terrain.cache.hold([Block(0, 1, 1)])
-        found = raycast(terrain, origins, directions, max_distance=40.0, wait=False)
-    assert set(found.level) == {0, terrain.grid.top}
-    assert not np.any(found.state & (MISSED | FROM_BELOW))
-
-
-def test_a_small_pool_reads_each_block_a_few_times_only() -> None:
-    """Rays that wait for the same block go on together."""
-    source = rough(2100, 2100, Grid(2100, 2100, 1.0))
-    origins, directions = shots(3000, 2100.0)
-    origins[:, 2] = 40.0
-    directions[:, 2] = -0.05
-    with Terrain(source, pool_bytes=20 * 262_144) as terrain:
-        raycast(terrain, origins, directions, max_distance=1000.0)
-        assert terrain.cache.counters.loads < 20 * 81
 
 
 def test_oblique_rays_of_mujoco_meet_the_same_triangles() -> None:
