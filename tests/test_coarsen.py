@@ -8,9 +8,9 @@ import operator
 import numpy as np
 import pytest
 
-from terrasim.coarsen import Coarsened, coarsen
+from terrasim.cache.coarsen import Coarsened, coarsen
+from terrasim.cache.needs import Boxes, Disc, Need, region_blocks
 from terrasim.grid import Block, Grid
-from terrasim.needs import Boxes, Disc, Need, region_blocks
 
 GRID = Grid(9000, 7000, 1.0, row=-4000, col=-3333)
 TOP = frozenset(region_blocks(GRID, GRID.posts(GRID.top), GRID.top))
@@ -22,7 +22,7 @@ def defined(needs: list[Need], capacity: int) -> Coarsened:
     steps = 0
     while True:
         found = [need.blocks(GRID, level) for need, level in zip(needs, levels, strict=True)]
-        blocks = list(dict.fromkeys(functools.reduce(operator.iadd, found, [])))
+        blocks: list[Block] = list(dict.fromkeys(functools.reduce(operator.iadd, found, [])))
         if len(set(blocks) - TOP) <= capacity:
             break
         order = [
