@@ -96,12 +96,21 @@ def test_a_plan_of_a_large_terrain_allocates_nothing() -> None:
 PROGRAM = """
 import json, sys
 from pathlib import Path
+from terrasim.cache.loader import Loader
 from terrasim.cli import command
+before = []
+start = Loader.__init__
+def note(self, *words):
+    before.append(set(sys.modules))
+    start(self, *words)
+Loader.__init__ = note
 status = command(["run", sys.argv[1], "--out", sys.argv[2], "--json"])
 loaded = sorted({name.split(".")[0] for name in sys.modules})
 from warp._src.context import user_modules
 compiled = sorted(module.name for module in user_modules.values() if module.execs)
-print(json.dumps({"status": status, "loaded": loaded, "compiled": compiled}), file=sys.stderr)
+late = [name for name in set(sys.modules) - before[0] if name.startswith(("pxr", "matplotlib"))]
+seen = {"status": status, "loaded": loaded, "compiled": compiled, "late": late}
+print(json.dumps(seen), file=sys.stderr)
 """
 HEAVY = {"pxr", "mujoco", "matplotlib", "torch", "OpenImageIO", "rasterio", "pyarrow", "scipy"}
 
@@ -142,6 +151,7 @@ def test_a_scene_without_export_or_balls_imports_and_allocates_nothing_for_them(
 
 
 def test_a_scene_imports_and_compiles_what_its_plan_names(tmp_path: Path) -> None:
+    """It does so before loader threads start: USD's import can wait for them for ever."""
     text = """
     stamps = [{ kind = "crater", x = 1.0, y = 2.0, radius = 3.0, depth = 1.0 }]
     balls = [{ count = 5, region = { size_x = 9.0, size_y = 9.0 }, radius = 0.3 }]
@@ -156,6 +166,7 @@ def test_a_scene_imports_and_compiles_what_its_plan_names(tmp_path: Path) -> Non
     usd = true
     """
     seen, record = after_running(text, tmp_path)
+    assert seen["late"] == []
     assert HEAVY & set(seen["loaded"]) == {"pxr"} == HEAVY & set(record["plan"]["modules"])
     assert seen["compiled"] == sorted(record["plan"]["kernels"])
 

@@ -11,6 +11,7 @@ from terrasim.progress import Progress, silent
 from terrasim.scenario.device_memory import counted_memory
 from terrasim.scenario.estimate import estimate
 from terrasim.scenario.fingerprint import hash_heights
+from terrasim.scenario.libraries import import_libraries
 from terrasim.scenario.outputs import (
     write_ball_table,
     write_picture,
@@ -108,6 +109,8 @@ def run_scenario(
     with timer.stage("open the source"):
         source = scenario.terrain.source(folder)
     plan = make_plan(scenario, source)
+    with timer.stage("import libraries"):
+        import_libraries(plan)
     setup = Setup(scenario, source, plan.anchor)
     with run_folder(out) as growing:
         outcome = _simulate(growing, setup, timer, progress)
