@@ -55,17 +55,32 @@ def test_tiles_of_different_levels_join_without_gaps(row: int, col: int) -> None
     source = rough(700, 500, row, col)
     meshes = meshes_of(source, Span(row + 100, row + 120, col + 300, col + 310))
     assert {mesh.shape.tile.level for mesh in meshes} == {0, 1, 2}
+    check_watertight(meshes, Span(row, row + 699, col, col + 499))
+
+
+def test_a_tile_joins_neighbours_much_finer_on_every_side() -> None:
+    """Three posts of level 0 lie inside each border cell of a tile of level 2."""
+    source = rough(769, 769)
+    fine = {Tile(0, row, col) for row in range(12) for col in range(12)}
+    inside = {Tile(0, row, col) for row in range(4, 8) for col in range(4, 8)}
+    tiles = frozenset(fine - inside | {Tile(2, 1, 1)})
+    posts = {tile: posts_of(source, tile) for tile in tiles}
+    shapes = [outline(source.grid, tiles, tile) for tile in sorted(tiles)]
+    meshes = [tile_mesh(source.grid, one, tile_counts(one, posts)) for one in shapes]
+    check_watertight(meshes, Span(0, 768, 0, 768))
+
+
+def check_watertight(meshes: list[TileMesh], rim: Span) -> None:
+    """Hold that triangles meet edge to edge, and end along the rim alone."""
     edges: Counter[tuple[tuple[int, int, int], tuple[int, int, int]]] = Counter()
     for mesh in meshes:
         for a, b, c in corners(mesh):
             edges.update([(a, b), (b, c), (c, a)])
     assert max(edges.values()) == 1
-    rim = [(a, b) for a, b in edges if (b, a) not in edges]
-    last_row, last_col = row + 699, col + 499
-    for a, b in rim:
+    for a, b in [(a, b) for a, b in edges if (b, a) not in edges]:
         on_rim = [
-            a[0] == b[0] == row, a[0] == b[0] == last_row,
-            a[1] == b[1] == col, a[1] == b[1] == last_col,
+            a[0] == b[0] == rim.row0, a[0] == b[0] == rim.row1,
+            a[1] == b[1] == rim.col0, a[1] == b[1] == rim.col1,
         ]  # fmt: skip
         assert any(on_rim), (a, b)
 

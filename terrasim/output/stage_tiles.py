@@ -90,11 +90,10 @@ class StageTiles:
         again = {tile for tile in self._posts if _touch_any(tile, boxes)}
         for tile in sorted(again):
             self._posts[tile] = self._read(tile)
-        for tile, shown in self._shown.items():
-            shape = shown.mesh.shape
-            if tile not in again and not any(leaf in again for leaf, _, _ in shape.extra):
-                continue
-            counts = tile_counts(shape, self._posts)
+        # A neighbour's post on a common edge is touched only where this tile is too.
+        for tile in sorted(again & self._shown.keys()):
+            shown = self._shown[tile]
+            counts = tile_counts(shown.mesh.shape, self._posts)
             last = shown.changes[-1][1] if shown.changes else shown.rest
             if not np.array_equal(counts, last):
                 shown.changes.append((time, counts))
