@@ -272,14 +272,15 @@ def test_a_group_draws_the_same_whatever_else_there_is() -> None:
 
 
 def test_stamps_come_before_the_first_step_at_or_after_their_time() -> None:
-    times = [0.0, 0.1, 0.101, 1.1, 2.0]
+    times = [0.0, 0.01, 0.0101, 0.07, 2.0]
     stamps = [CRATER | {"time_s": time, "x": float(i)} for i, time in enumerate(times)]
-    scenario = parse_scenario(table(stamps=stamps, scatter=[], run={"duration_s": 2, "dt_s": 0.1}))
+    run = {"duration_s": 2.0, "dt_s": 0.01}
+    scenario = parse_scenario(table(stamps=stamps, scatter=[], run=run))
     found = {event.step: [stamp.x for stamp in event.stamps] for event in schedule(scenario)}
-    # 1.1 is eleven steps of 0.1, though 1.1 / 0.1 is more than 11.
-    assert found == {0: [0.0], 1: [1.0], 2: [2.0], 11: [3.0], 20: [4.0]}
+    # 0.07 is seven steps of 0.01, though 0.07 / 0.01 is more than 7.
+    assert found == {0: [0.0], 1: [1.0], 2: [2.0], 7: [3.0], 200: [4.0]}
     halved = {event.step: event.time_s for event in schedule(scenario, 2)}
-    assert list(halved) == [0, 2, 4, 22, 40]
+    assert list(halved) == [0, 2, 4, 14, 400]
 
 
 def test_settings_are_listed_as_the_file_would_write_them() -> None:
