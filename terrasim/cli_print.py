@@ -58,8 +58,8 @@ def print_run(record: dict[str, Any], console: Console | None = None) -> None:
     stages.add_row("all", f"{record['timings']['wall_s']:.3f}")
     console.print(stages)
     errors = Table("error", title="How wrong it is", title_justify="left")
-    errors.add_column("at most \\[m]", justify="right")
-    errors.add_column("in the middle \\[m]", justify="right")
+    errors.add_column("largest \\[m]", justify="right")
+    errors.add_column("median \\[m]", justify="right")
     errors.add_column("cost \\[s]", justify="right")
     for error in record["errors"]:
         values = [error["metres"], error["typical_m"]]

@@ -127,7 +127,7 @@ def _errors(record: Record) -> str:
         for one in record["errors"]
     ]
     lead = "<p>Each way in which this run can be wrong, in metres, and what it cost to know.</p>"
-    heads = ("error", "at most", "in the middle", "cost", "how it was found")
+    heads = ("error", "largest", "median", "cost", "how it was found")
     return lead + table(heads, rows, numbers=(1, 2, 3))
 
 

@@ -33,9 +33,9 @@ class ErrorEstimate:
     name: str
     """What makes it so."""
     metres: float | None
-    """By how much at most [m]; None if it does not apply."""
+    """By how much: a bound, or the largest that was found [m]; None if it does not apply."""
     typical_m: float | None
-    """By how much in the middle case [m], where that is known."""
+    """The median of what was found [m], where there is one."""
     cost_s: float
     """Wall time it took to find out [s]."""
     note: str
