@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import warp as wp
 
@@ -15,6 +15,8 @@ from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.kernels.surface import Lattice
 from terrasim.sources.source import Source
+
+Late = Literal["wait", "fallback"]
 
 DEFAULT_POOL_BYTES = 64 << 20
 """Bytes of the pool's posts unless the caller says otherwise: 256 blocks."""
@@ -34,6 +36,7 @@ class Terrain:
         pool_bytes: int = DEFAULT_POOL_BYTES,
         threads: int = 1,
         loaders: int = 2,
+        late: Late = "wait",
     ) -> None:
         """Open a terrain; the coarsest level is read at once, everything else when needed.
 
@@ -43,6 +46,9 @@ class Terrain:
             pool_bytes: Bytes of posts to hold on the device.
             threads: CPU threads a launch may be split over.
             loaders: Threads that read blocks beside the step.
+            late: What a step does about ground that it requires and that is not there yet:
+                ``"wait"`` for it, so that results never depend on how fast a disk is, or
+                ``"fallback"`` to the finest resident level above. Then they do.
 
         Raises:
             InputError: If the device is unknown, the pool cannot hold what it must, or a number of
@@ -56,7 +62,12 @@ class Terrain:
         self.threads = threads
         self.ground = Ground(source)
         layers = layers_for(self.grid, pool_bytes)
-        self.cache = Cache(self.grid, self.ground, layers, self.device, loaders)
+        if late not in {"wait", "fallback"}:
+            raise InputError(f"late must be 'wait' or 'fallback', got {late!r}")
+        self.late = late
+        self.cache = Cache(
+            self.grid, self.ground, layers, self.device, loaders, waits=late == "wait"
+        )
         self.lattice = lattice_of(self.grid)
 
     @property
@@ -81,8 +92,11 @@ class Terrain:
 
     @property
     def required(self) -> Any:
-        """Pointer table of the blocks the step requires, for contact."""
-        return self.cache.required.entries
+        """Pointer table of the ground that contact reads.
+
+        Exactly what the step requires; with ``late = "fallback"``, all that is resident.
+        """
+        return (self.cache.required if self.late == "wait" else self.cache.resident).entries
 
     def close(self) -> None:
         """End the loader threads. The terrain must not be used afterwards."""

@@ -29,7 +29,16 @@ from terrasim.sources.source import BlockData
 class Cache:
     """The resident blocks of one terrain."""
 
-    def __init__(self, grid: Grid, ground: Ground, layers: int, device: Any, loaders: int) -> None:
+    def __init__(
+        self,
+        grid: Grid,
+        ground: Ground,
+        layers: int,
+        device: Any,
+        loaders: int,
+        *,
+        waits: bool = True,
+    ) -> None:
         """Allocate the pool and bring in the coarsest level, which stays.
 
         Args:
@@ -38,7 +47,11 @@ class Cache:
             layers: Layers of the pool.
             device: Warp device.
             loaders: Threads that read blocks.
+            waits: Whether a step waits for blocks it requires. If not, they are asked for before
+                all that is wanted, and the step does without.
         """
+        self._waits = waits
+        self._late: list[Block] = []
         self.grid = grid
         self.ground = ground
         self.counters = Counters()
@@ -86,7 +99,13 @@ class Cache:
         self._needed &= needed
         missing = [key for key in fitting.blocks if key not in self._layer]
         self.counters.hits += len(needed) - len(missing)
-        if missing:
+        self._late = []
+        if missing and not self._waits:
+            self.counters.misses += len(missing)
+            self.counters.late += len(missing)
+            self._late = missing
+            needed.difference_update(missing)
+        elif missing:
             start = time.perf_counter()
             self.counters.misses += len(missing)
             self.counters.stalls += 1
@@ -96,7 +115,7 @@ class Cache:
         for key in needed - self._needed:
             self.required.set(key, self._layer[key])
         self._needed = needed
-        for key in fitting.raised:
+        for key in fitting.raised & self._layer.keys():
             error = self._bounds[self._layer[key]][2]
             self.counters.coarsened_error = max(self.counters.coarsened_error, error)
         self._publish()
@@ -110,7 +129,8 @@ class Cache:
         for need in needs:
             level = min(need.level, self.grid.top)
             wanted.update(dict.fromkeys(need.blocks(self.grid, level)))
-        beside = [key for key in wanted if key not in self._needed and key not in self._top]
+        asked = dict.fromkeys([*self._late, *wanted])
+        beside = [key for key in asked if key not in self._needed and key not in self._top]
         self._wanted = beside[: max(0, self.capacity - len(self._needed - self._top))]
         held = [self._layer[key] for key in self._wanted if key in self._layer]
         self._last_used[held] = np.maximum(self._last_used[held], self._tick)
@@ -240,8 +260,11 @@ class Cache:
                 self._place(key, place, urgent=True)
 
     def _place_ready(self, keep: set[Block], start: float, budget_ms: float) -> None:
-        """Place what has been read while the budget lasts."""
-        ready = [key for key in self._loader.ready() if key in keep and key not in self._layer]
+        """Place what has been read while the budget lasts, what is still wanted first.
+
+        What is wanted no longer is placed too: it would hold a place among those asked for.
+        """
+        ready = sorted(self._loader.ready(), key=lambda key: key not in keep)
         for placed, key in enumerate(ready):
             spent = (time.perf_counter() - start) * 1e3
             if placed and spent + self._worst_place_ms > budget_ms:

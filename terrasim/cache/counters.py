@@ -17,6 +17,8 @@ class Counters:
     """Steps that had to wait for required blocks."""
     stall_ms: float = 0.0
     """Time those steps waited [ms]."""
+    late: int = 0
+    """Required blocks that a step did without, because its terrain does not wait for them."""
     fallbacks: int = 0
     """Points that a view or query answered from a coarser level than it asked for."""
     coarsened: int = 0

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
+import numpy as np
+
 from terrasim.grid import Block
 from terrasim.sources.source import BlockData
 
@@ -21,6 +23,9 @@ class Loader:
             read: Reads one block; called from the threads.
             workers: Number of threads.
         """
+        # NumPy's first arithmetic with large temporaries loads a library. In a loader thread that
+        # can wait for ever for an import in another thread that wants Python's lock, as USD's does.
+        _ = (np.zeros(1 << 16) + 1.0) - 1.0
         self._read = read
         self._threads = ThreadPoolExecutor(workers, thread_name_prefix="terrasim-load")
         self._loading: dict[Block, Future[BlockData]] = {}

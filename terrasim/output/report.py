@@ -57,7 +57,7 @@ def report_html(record: Record, pictures: Sequence[tuple[str, bytes]]) -> str:
         title=escape(record["name"]),
         description=escape(record["description"]),
         facts=_facts(record),
-        synthetic=_synthetic(record),
+        synthetic=_synthetic(record) + _not_repeatable(record),
         pictures="\n".join(_picture(name, content, record) for name, content in pictures),
         sections=sections,
         version=escape(str(record["terrasim"])),
@@ -97,6 +97,15 @@ def _synthetic(record: Record) -> str:
     return (
         '<p class="notice"><strong>Synthetic heights.</strong> Part of this ground is invented: '
         f"{escape(record['synthetic'])}. It is not measured and must not be used as if it were.</p>"
+    )
+
+
+def _not_repeatable(record: Record) -> str:
+    if record["repeatable"]:
+        return ""
+    return (
+        '<p class="notice"><strong>Not repeatable.</strong> This run did not wait for ground that '
+        f"came late ({record['counters']['late']:,} times): another run may differ.</p>"
     )
 
 

@@ -106,6 +106,7 @@ def make_record(
         "description": scenario.description,
         "settings": scenario_settings(scenario),
         "synthetic": plan.synthetic,
+        "repeatable": scenario.run.late == "wait",
         "plan": plan.as_json(),
         "device": plan.device,
         "seed": scenario.run.seed,

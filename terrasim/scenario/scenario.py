@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -62,6 +62,9 @@ class RunSettings(Settings):
     """CPU threads that a launch may be split over; the result is the same to the bit."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of everything drawn at random."""
+    late: Literal["wait", "fallback"] = "wait"
+    """What a step does about required ground that has not come: wait for it, or fall back to a
+    coarser level and lose repeatability."""
     paced: bool = False
     """Let no step begin before its time on the clock: for trying out a job queue's budget."""
     checked_balls: Annotated[int, Field(ge=0, le=1_000_000)] = 64

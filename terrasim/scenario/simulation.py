@@ -73,6 +73,7 @@ class Simulation:
                 pool_bytes=scenario.pool.bytes,
                 threads=scenario.run.threads,
                 loaders=scenario.pool.loaders,
+                late=scenario.run.late,
             )
         self.balls: Any = None
         try:
