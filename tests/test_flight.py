@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from terrasim.bench.flight import POSTS_PER_STEP, RADIUS, blocks_passed, flight_path, fly
 from terrasim.cache.needs import Disc
+from terrasim.dem.import_options import ImportOptions
+from terrasim.dem.imports import import_terrain
 from terrasim.grid import Grid
+from terrasim.query import sample
 from terrasim.sources.array_source import ArraySource
 from terrasim.sources.mirror import Mirrored
+from terrasim.store.store import open_store
 from terrasim.terrain import Terrain
 
 SIDE = (1 << 13) + 1
@@ -45,6 +51,25 @@ def test_a_flight_reads_what_it_passes_and_evicts_the_rest(source: Mirrored) -> 
         assert report.loads >= passed
         assert report.evictions >= report.loads - report.layers
         assert terrain.cache.counters.coarsened == 0
+
+
+def test_the_papers_terrain_is_flown_over(shared_terrain: Path, tmp_path: Path) -> None:
+    """Puget Sound at 1k, from a store, mirrored to 1M x 1M posts: all that is needed is there."""
+    store = tmp_path / "puget.terrasim"
+    options = ImportOptions(spacing=160.0, z_scale=0.1)
+    import_terrain([str(shared_terrain / "ps_height_1k.png")], str(store), options)
+    side = (1 << 20) + 1
+    with (
+        open_store(store) as puget,
+        Terrain(Mirrored(puget, side, side), pool_bytes=256 << 20) as terrain,
+    ):
+        report = fly(terrain, steps=60, hz=1e4)
+        # Rainier stands at row 529 from the north, column 803; copies an even number away are upright.
+        copies = 1024 * np.array([[0, 0], [2, 0], [500, 498]])
+        peaks = sample(terrain, 160.0 * (copies + [803, 1024 - 529])).height
+    assert report.fallbacks == 0
+    assert report.loads >= report.passed
+    np.testing.assert_allclose(peaks, 4379.8, rtol=0.0, atol=1e-9)
 
 
 def test_a_disc_higher_up_covers_more_ground_with_as_many_blocks() -> None:

@@ -43,6 +43,13 @@ def flight_rows(name: str, report: FlightReport) -> list[Row]:
     median, high, worst = report.queue_ms
     return [
         Row(f"{name}, steps in budget", report.in_budget, "share", "99 %", report.in_budget / 0.99),
+        Row(
+            f"{name}, steps in budget by CPU time",
+            report.in_budget_cpu,
+            "share",
+            "99 %",
+            report.in_budget_cpu / 0.99,
+        ),
         Row(f"{name}, queue a step, median", median, "ms", "2 ms", median / 2.0),
         Row(f"{name}, queue a step, 99th percentile", high, "ms", "2 ms", high / 2.0),
         Row(f"{name}, queue a step, largest", worst, "ms", "2 ms", worst / 2.0),
