@@ -64,9 +64,9 @@ def test_the_papers_terrain_is_flown_over(shared_terrain: Path, tmp_path: Path) 
         Terrain(Mirrored(puget, side, side), pool_bytes=256 << 20) as terrain,
     ):
         report = fly(terrain, steps=60, hz=1e4)
-        # Rainier stands at row 529 from the north, column 803; copies an even number away are upright.
+        # Rainier is row 529 from the north, column 803; every other copy is not reflected.
         copies = 1024 * np.array([[0, 0], [2, 0], [500, 498]])
-        peaks = sample(terrain, 160.0 * (copies + [803, 1024 - 529])).height
+        peaks = sample(terrain, 160.0 * (copies + np.array([803, 1024 - 529]))).height
     assert report.fallbacks == 0
     assert report.loads >= report.passed
     np.testing.assert_allclose(peaks, 4379.8, rtol=0.0, atol=1e-9)
