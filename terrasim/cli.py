@@ -123,21 +123,26 @@ def bench(
         list[str] | None, typer.Argument(help="Benchmarks to run; all by default.")
     ] = None,
     device: Annotated[str, typer.Option(help="cpu, or a CUDA device: cuda:0.")] = "cpu",
-    save: Annotated[Path | None, typer.Option(help="Also write the result to a file.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Folder in which <device>.json is written or brought up.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure against the limits of this machine: a memory copy, and NumPy doing the same."""
     from terrasim.bench.bench import bench as run_bench
-    from terrasim.cli_print import print_bench
+    from terrasim.bench.bench import save as save_bench
+    from terrasim.bench.bench import table
     from terrasim.progress import progress_bar
     from terrasim.warp_start import start_warp
 
+    if save is not None and save.name.startswith("-"):
+        raise InputError(f"--save takes a folder, got {str(save)!r}: name one after it")
     start_warp()
     with progress_bar() as progress:
         result = run_bench(names or (), device=device, tell=lambda name: progress(0.0, name))
     if save is not None:
-        save.write_text(json.dumps(result, indent=2) + "\n")
-    _print(result, as_json, print_bench)
+        save_bench(result, save)
+    _print(result, as_json, lambda found: print(table(found)))
 
 
 def main(argv: Sequence[str] | None = None) -> None:

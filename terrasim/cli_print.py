@@ -70,20 +70,6 @@ def print_run(record: dict[str, Any], console: Console | None = None) -> None:
         console.print(f"  {record['folder']}/{name}", markup=False, soft_wrap=True)
 
 
-def print_bench(result: dict[str, Any], console: Console | None = None) -> None:
-    """Measured ratios as a table."""
-    console = console or Console()
-    table = Table("name", title=str(result["device"]), title_justify="left")
-    for column in ("value", "unit", "compared with", "ratio"):
-        table.add_column(column, justify="left" if column in {"unit", "compared with"} else "right")
-    for row in result["rows"]:
-        ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
-        table.add_row(
-            row["name"], f"{row['value']:.4g}", row["unit"], str(row["compared_with"] or ""), ratio
-        )
-    console.print(table)
-
-
 def _leaves(values: Any, path: str) -> list[tuple[str, Any]]:
     if isinstance(values, dict):
         items = values.items()

@@ -11,7 +11,6 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.balls.balls import Balls, step, totals
-from terrasim.balls.half_step import half_step_error
 from terrasim.counts import COUNT_M, Counts
 from terrasim.deform.apply import apply
 from terrasim.deform.stamps import Gaussian
@@ -352,7 +351,6 @@ def test_no_balls_are_fine() -> None:
         balls = Balls.at(terrain, np.zeros((0, 3)), radius=0.1, above_ground=True)
         step(terrain, balls, 0.01)
         assert totals(balls).impacts == 0
-        assert half_step_error(terrain, balls, 0.01, 1).balls == 0
 
 
 def make(**changed: Any) -> Callable[[Terrain], object]:
