@@ -94,8 +94,11 @@ class Terrain:
     def required(self) -> Any:
         """Pointer table of the ground that contact reads.
 
-        Exactly what the step requires; with ``late = "fallback"``, all that is resident.
+        Exactly what the step requires, brought back if something displaced it; with
+        ``late = "fallback"``, all that is resident.
         """
+        if self.late == "wait":
+            self.cache.restore()
         return (self.cache.required if self.late == "wait" else self.cache.resident).entries
 
     def close(self) -> None:

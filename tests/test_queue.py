@@ -329,3 +329,14 @@ def test_a_terrain_that_does_not_wait_falls_back_until_the_ground_has_come(
         cache.require([on(2, 2)])
         assert cache.counters.late == 1
         assert terrain.required is cache.resident.entries
+
+
+def test_a_step_finds_what_it_required_though_a_query_displaced_it(terrain: ts.Terrain) -> None:
+    """The table that contact reads is made whole again before it is handed out."""
+    cache = terrain.cache
+    cache.require([on(0, 0), on(4, 4)])
+    cache.hold([Block(0, 7, col) for col in range(7)])
+    assert not cache.is_resident(Block(0, 0, 0))
+    assert terrain.required is cache.required.entries
+    assert {Block(0, 0, 0), Block(0, 4, 4)} <= required_of(terrain)
+    assert cache.is_resident(Block(0, 0, 0))

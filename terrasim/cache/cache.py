@@ -67,6 +67,7 @@ class Cache:
         self._tick = 0
         self._last_used = np.zeros(layers, dtype=np.int64)
         self._needed: set[Block] = set()
+        self._requirement: list[Block] = []
         self._wanted: list[Block] = []
         self._arriving: dict[Block, tuple[int, Any]] = {}
         self._worst_place_ms = 0.0
@@ -115,10 +116,31 @@ class Cache:
         for key in needed - self._needed:
             self.required.set(key, self._layer[key])
         self._needed = needed
+        self._requirement = [key for key in fitting.blocks if key in needed]
         for key in fitting.raised & self._layer.keys():
             error = self._bounds[self._layer[key]][2]
             self.counters.coarsened_error = max(self.counters.coarsened_error, error)
         self._publish()
+
+    def restore(self) -> None:
+        """Bring back what the last ``require`` made resident and a query or stamp displaced since.
+
+        Without it a step would read what happened to be left, and that depends on the disk.
+        """
+        displaced = [key for key in self._requirement if key not in self._needed]
+        if not displaced:
+            return
+        start = time.perf_counter()
+        missing = [key for key in displaced if key not in self._layer]
+        self.counters.misses += len(missing)
+        self.counters.stalls += bool(missing)
+        self._bring(missing, set(self._requirement))
+        for key in displaced:
+            self.required.set(key, self._layer[key])
+        self._needed.update(displaced)
+        self._last_used[[self._layer[key] for key in displaced]] = self._tick
+        self._publish()
+        self.counters.stall_ms += (time.perf_counter() - start) * 1e3
 
     def want(self, needs: Sequence[Need]) -> None:
         """Say what will be needed soon, in the order of need; replaces what was said before.
