@@ -9,19 +9,11 @@ exponentials, and everything round joins two squares.
 import warp as wp
 
 from terrasim.kernels.addressing import offset_in_pool
+from terrasim.kernels.shapes import GAUSSIAN, round_at
 from terrasim.kernels.surface import Lattice
 
-GAUSSIAN = 0
-CRATER = 1
-RIM_END = 3.0
-"""A crater's rim ends at this many radii."""
-RIM_REST = RIM_END**-3
-"""What is left there of a rim that falls off as the cube of the distance."""
-
 _GAUSSIAN = wp.constant(GAUSSIAN)
-_CRATER = wp.constant(CRATER)
-_RIM_END2 = wp.constant(wp.float64(RIM_END * RIM_END))
-_RIM_REST = wp.constant(wp.float64(RIM_REST))
+_COUNTS = wp.constant(wp.float64(100_000.0))
 _HOLE = wp.constant(-(2**31))
 _MAX = wp.constant(2**31 - 1)
 _MASK = wp.constant(255)
@@ -36,7 +28,7 @@ class Stamp:
     """One stamp, placed."""
 
     kind: int
-    """``GAUSSIAN`` or ``CRATER``."""
+    """Its formula in ``kernels/shapes.py``."""
     cell_row: int
     """Row of the level-0 cell its centre lies in."""
     cell_col: int
@@ -109,14 +101,8 @@ def part(stamp: Stamp, distance: wp.float64) -> wp.float64:
 def rise(stamp: Stamp, across: wp.float64, along: wp.float64) -> wp.float64:
     """What a stamp adds where its parts of x and y are these [counts]."""
     if stamp.kind == _GAUSSIAN:
-        return stamp.a * along * across
-    square = across + along
-    if square <= stamp.a:
-        return stamp.b * square - stamp.c
-    if square >= _RIM_END2 * stamp.a:
-        return wp.float64(0.0)
-    near = stamp.a / square
-    return stamp.d * (near * wp.sqrt(near) - _RIM_REST)
+        return stamp.a * along * across * _COUNTS
+    return round_at(stamp.kind, across + along, stamp.a, stamp.b, stamp.c, stamp.d)[0] * _COUNTS
 
 
 @wp.kernel(enable_backward=False)

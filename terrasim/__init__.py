@@ -11,7 +11,15 @@ from terrasim.cache.agent import Agent
 from terrasim.cache.needs import Boxes, Disc
 from terrasim.deform.apply import apply
 from terrasim.deform.ledger import Ledger
-from terrasim.deform.stamps import Crater, Gaussian
+from terrasim.deform.stamps import (
+    ConeStamp,
+    Crater,
+    Gaussian,
+    HalfCosine,
+    Paraboloid,
+    SphericalCap,
+    Stamp,
+)
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
 from terrasim.query import Sample, SurfaceSample, sample, sample_all
@@ -38,15 +46,18 @@ __all__ = [
     "Block",
     "Boxes",
     "Cone",
+    "ConeStamp",
     "Crater",
     "Disc",
     "Flat",
     "Fractal",
     "Gaussian",
     "Grid",
+    "HalfCosine",
     "InputError",
     "Ledger",
     "Mirrored",
+    "Paraboloid",
     "Plane",
     "RayHits",
     "Refined",
@@ -54,6 +65,8 @@ __all__ = [
     "Sample",
     "Sine",
     "Source",
+    "SphericalCap",
+    "Stamp",
     "SurfaceSample",
     "Terrain",
     "__version__",

@@ -86,17 +86,17 @@ def locate(terrain: Terrain, stamps: Sequence[Stamp], anchor: Anchor) -> Placed:
     """Find the posts each stamp may change and drop stamps that touch none."""
     grid = terrain.grid
     records = blank(kernels.Stamp, len(stamps))
-    reach = np.array([stamp.reach for stamp in stamps], dtype=np.float64)
-    for axis, row, first, count in (
-        ("y", "row", grid.row, grid.rows),
-        ("x", "col", grid.col, grid.cols),
+    extent = np.array([stamp.extent for stamp in stamps], dtype=np.float64).reshape(-1, 4)
+    for axis, row, first, count, begin in (
+        ("y", "row", grid.row, grid.rows, 1),
+        ("x", "col", grid.col, grid.cols, 0),
     ):
         metres = np.array([getattr(stamp, axis) for stamp in stamps], dtype=np.float64)
         cell, inside = cells(metres, anchor[axis == "x"], grid.spacing, axis)
         records[f"cell_{row}"], records[axis] = cell, inside
         # Up to a post more on either side than it reaches: rounding there decides nothing.
-        low = cell + np.floor((inside - reach) / grid.spacing)
-        high = cell + np.ceil((inside + reach) / grid.spacing)
+        low = cell + np.floor((inside + extent[:, begin]) / grid.spacing)
+        high = cell + np.ceil((inside + extent[:, begin + 2]) / grid.spacing)
         records[f"{row}0"] = np.clip(low, first, first + count)
         records[f"{row}1"] = np.clip(high, first - 1, first + count - 1)
     records["kind"] = [stamp.kind for stamp in stamps]

@@ -116,7 +116,7 @@ class Scattered(Settings):
         self._shape()
         return self
 
-    def _shape(self) -> Any:
+    def _shape(self) -> Stamp:
         kind = REGISTRY[self.kind]
         return kind(x=0.0, y=0.0, **given(self, names_of(kind) - _CENTRE))
 
@@ -126,18 +126,8 @@ class Scattered(Settings):
         sizes = draw_sizes(self.size, rng, self.count)
         times = draw(self.time_s, rng, self.count)
         shape = self._shape()
-        names = names_of(type(shape)) - _CENTRE
-        lengths = {name: getattr(shape, name) for name in sorted(names)}
         return [
-            (
-                float(time),
-                replace(
-                    shape,
-                    x=float(x),
-                    y=float(y),
-                    **{name: float(size * value) for name, value in lengths.items()},
-                ),
-            )
+            (float(time), replace(shape.scaled(float(size)), x=float(x), y=float(y)))
             for time, size, (x, y) in zip(times, sizes, places, strict=True)
         ]
 

@@ -6,12 +6,22 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Mapping
+from dataclasses import is_dataclass
 from functools import cache
 
 
 @cache
 def descriptions(kind: type) -> Mapping[str, str]:
-    """The text below each annotated field of a class, read from its source."""
+    """The text below each annotated field of a class and of what it inherits from."""
+    found: dict[str, str] = {}
+    for one in reversed(kind.__mro__):
+        if is_dataclass(one):
+            found.update(_own(one))
+    return found
+
+
+def _own(kind: type) -> Mapping[str, str]:
+    """The texts that stand in the class itself, read from its source."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(body, ast.ClassDef)
     found = {}

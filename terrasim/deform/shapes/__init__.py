@@ -1,0 +1,1 @@
+"""The shapes that stamps have, one family a file."""
