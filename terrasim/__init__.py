@@ -12,13 +12,19 @@ from terrasim.cache.needs import Boxes, Disc
 from terrasim.deform.apply import apply
 from terrasim.deform.ledger import Ledger
 from terrasim.deform.stamps import (
+    Berm,
     ConeStamp,
     Crater,
+    Flatten,
     Gaussian,
     HalfCosine,
+    HeightImage,
+    Noise,
     Paraboloid,
     SphericalCap,
     Stamp,
+    Texture,
+    Trench,
 )
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
@@ -43,6 +49,7 @@ __all__ = [
     "Agent",
     "ArraySource",
     "Balls",
+    "Berm",
     "Block",
     "Boxes",
     "Cone",
@@ -50,13 +57,16 @@ __all__ = [
     "Crater",
     "Disc",
     "Flat",
+    "Flatten",
     "Fractal",
     "Gaussian",
     "Grid",
     "HalfCosine",
+    "HeightImage",
     "InputError",
     "Ledger",
     "Mirrored",
+    "Noise",
     "Paraboloid",
     "Plane",
     "RayHits",
@@ -69,6 +79,8 @@ __all__ = [
     "Stamp",
     "SurfaceSample",
     "Terrain",
+    "Texture",
+    "Trench",
     "__version__",
     "apply",
     "open_store",

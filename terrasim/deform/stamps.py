@@ -9,6 +9,8 @@ and enter it in :data:`REGISTRY`. Everything else follows from those.
 from __future__ import annotations
 
 from terrasim.deform.shapes.crater import Crater
+from terrasim.deform.shapes.flatten import Flatten
+from terrasim.deform.shapes.height_image import HeightImage
 from terrasim.deform.shapes.mounds import (
     ConeStamp,
     Gaussian,
@@ -16,22 +18,43 @@ from terrasim.deform.shapes.mounds import (
     Paraboloid,
     SphericalCap,
 )
+from terrasim.deform.shapes.noise import Noise
 from terrasim.deform.shapes.stamp import Bounds, Stamp
+from terrasim.deform.shapes.swept import Berm, Trench
+from terrasim.deform.shapes.texture import Texture
 
 __all__ = [
     "REGISTRY",
+    "Berm",
     "Bounds",
     "ConeStamp",
     "Crater",
+    "Flatten",
     "Gaussian",
     "HalfCosine",
+    "HeightImage",
+    "Noise",
     "Paraboloid",
     "SphericalCap",
     "Stamp",
+    "Texture",
+    "Trench",
 ]
 
-REGISTRY: dict[str, type[Stamp]] = {
-    kind.name: kind for kind in (Gaussian, Crater, ConeStamp, Paraboloid, SphericalCap, HalfCosine)
-}
+_KINDS: tuple[type[Stamp], ...] = (
+    Gaussian,
+    Crater,
+    ConeStamp,
+    Paraboloid,
+    SphericalCap,
+    HalfCosine,
+    Trench,
+    Berm,
+    Flatten,
+    Noise,
+    Texture,
+)
+
+REGISTRY: dict[str, type[Stamp]] = {kind.name: kind for kind in _KINDS}
 """Every stamp by the name that files give it. A stamp's dataclass fields are its schema: enter a
 new class here and files can use it."""

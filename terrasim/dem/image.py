@@ -55,11 +55,30 @@ def read_image(path: str | Path, options: ImportOptions) -> ImageHeights:
         InputError: If it cannot be read, claims more than it can hold, or leaves open which
             channel holds the heights.
     """
+    image = open_image(path)
+    spec = image.spec()
+    begin, end = _channels(path, spec.nchannels, options)
+    kind = str(spec.channelformat(begin))
+    if options.encoding == "terrarium" and kind != "uint8":
+        raise InputError(f"{path}: Terrarium images hold uint8, this one {kind}")
+    samples = channel_rows(str(path), image, begin, end)
+    if image.format_name() == "png":
+        samples = _whole(str(path), samples, spec.height, spec.image_bytes(True))
+    return ImageHeights(
+        spec.height, spec.width, f"{image.format_name()} {kind}", samples, _decoder(options)
+    )
+
+
+def open_image(path: str | Path) -> Any:
+    """Open an image: OpenImageIO's reader, its header held against its file.
+
+    Raises:
+        InputError: If it cannot be read, or claims more than the file can hold.
+    """
     import OpenImageIO
 
     file = check_file(path)
-    is_png = begins_with(file, PNG_MAGIC)
-    if is_png:
+    if begins_with(file, PNG_MAGIC):
         # The decoder would print what it finds wrong to the terminal.
         _check_png(path, file)
     config = OpenImageIO.ImageSpec()
@@ -73,19 +92,9 @@ def read_image(path: str | Path, options: ImportOptions) -> ImageHeights:
     spec = image.spec()
     if spec.deep or spec.depth > 1:
         raise InputError(f"{path}: is a deep or volume image: heights are one plane")
-    begin, end = _channels(path, spec.nchannels, options)
-    kind = str(spec.channelformat(begin))
-    if kind not in _TYPES:
-        raise InputError(f"{path}: samples of type {kind} are not read; write 16-bit or float")
-    if options.encoding == "terrarium" and kind != "uint8":
-        raise InputError(f"{path}: Terrarium images hold uint8, this one {kind}")
-    check_claim(file, spec.height, spec.width, spec.nchannels * spec.channelformat(begin).size())
-    samples = _reader(str(path), image, begin, end)
-    if is_png:
-        samples = _whole(str(path), samples, spec.height, spec.image_bytes(True))
-    return ImageHeights(
-        spec.height, spec.width, f"{image.format_name()} {kind}", samples, _decoder(options)
-    )
+    sample = max(spec.channelformat(i).size() for i in range(spec.nchannels))
+    check_claim(file, spec.height, spec.width, spec.nchannels * sample)
+    return image
 
 
 def _channels(path: str | Path, count: int, options: ImportOptions) -> tuple[int, int]:
@@ -108,10 +117,12 @@ def _channels(path: str | Path, count: int, options: ImportOptions) -> tuple[int
     return band - 1, band
 
 
-def _reader(name: str, image: Any, begin: int, end: int) -> Rows:
+def channel_rows(name: str, image: Any, begin: int, end: int) -> Rows:
     """Read rows of some channels in their own type; tiled files by whole rows of tiles."""
     spec = image.spec()
     kind = spec.channelformat(begin)
+    if str(kind) not in _TYPES:
+        raise InputError(f"{name}: samples of type {kind} are not read; write 16-bit or float")
     high = spec.tile_height if spec.tile_width else 1
 
     def read(row: int, count: int) -> Samples:

@@ -196,8 +196,9 @@ def stamp_boxes(stamps: Sequence[Stamp], anchor: tuple[int, int], spacing: float
     """Level-0 posts that stamps may change, half-open."""
     boxes = []
     for stamp in stamps:
-        row = anchor[0] + np.array([stamp.y - stamp.reach, stamp.y + stamp.reach]) / spacing
-        col = anchor[1] + np.array([stamp.x - stamp.reach, stamp.x + stamp.reach]) / spacing
+        west, south, east, north = stamp.extent
+        row = anchor[0] + np.array([stamp.y + south, stamp.y + north]) / spacing
+        col = anchor[1] + np.array([stamp.x + west, stamp.x + east]) / spacing
         boxes.append(
             Span(
                 int(np.floor(row[0])) - 1,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -74,8 +75,9 @@ def site(happening: Happening) -> Square | None:
     """The square that holds every deformation and every ball, if there are any."""
     low, high = [], []
     for stamp in happening.stamps:
-        low.append([stamp.x - stamp.reach, stamp.y - stamp.reach])
-        high.append([stamp.x + stamp.reach, stamp.y + stamp.reach])
+        west, south, east, north = stamp.extent
+        low.append([stamp.x + west, stamp.y + south])
+        high.append([stamp.x + east, stamp.y + north])
     if happening.places.size:
         low.append(happening.places.min(axis=(0, 1)).tolist())
         high.append(happening.places.max(axis=(0, 1)).tolist())
@@ -95,8 +97,14 @@ def close_up(happening: Happening) -> Square | None:
         return Square(x, y, half)
     if not happening.stamps:
         return None
-    largest = max(happening.stamps, key=lambda stamp: abs(stamp.volume))
+    largest = max(happening.stamps, key=_size)
     return Square(largest.x, largest.y, _CLOSE_STAMP / 2.0 * largest.reach)
+
+
+def _size(stamp: Stamp) -> tuple[float, float]:
+    """What a stamp counts among others: its volume, then its reach."""
+    # Some have no volume of their own.
+    return (0.0 if math.isnan(stamp.volume) else abs(stamp.volume), stamp.reach)
 
 
 def _busiest(happening: Happening, half: float) -> tuple[float, float]:

@@ -5,6 +5,7 @@ All places are metres from one anchor post, so a scene far from the origin loses
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, Any, Self
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from terrasim.deform.stamps import REGISTRY, Stamp
+from terrasim.scenario.images import BLANK, ImageFile, Images
 from terrasim.scenario.settings import OneOf, Settings, fields_of, given, kind_field, names_of
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -78,30 +80,46 @@ def draw_sizes(ends: Pair, rng: Rng, count: int) -> Points:
     return low * (high / low) ** rng.random(count)
 
 
-class Placed(Settings):
-    """A stamp at a place and a time."""
+class OfAKind(Settings):
+    """Something that makes stamps of one kind."""
 
     kind: str
     """Which stamp."""
-    time_s: NotNegative = 0.0
-    """When it is made [s]; 0 is before the run."""
 
     @model_validator(mode="after")
     def _is_a_stamp(self) -> Self:
-        self.stamp()
+        self.shape(BLANK)
         return self
 
-    def stamp(self) -> Stamp:
-        """The stamp itself."""
+    def shape(self, images: Images, **place: float) -> Stamp:
+        """The stamp of its fields, where they do not say it at a place."""
         kind = REGISTRY[self.kind]
-        return kind(**given(self, names_of(kind)))
+        own = given(self, names_of(kind)) | place
+        if isinstance(own.get("image"), ImageFile):
+            own["image"] = images[own["image"]]
+        return kind(**own)
+
+    def files(self) -> Iterator[ImageFile]:
+        """The image it is made of, if any."""
+        image = getattr(self, "image", None)
+        if isinstance(image, ImageFile):
+            yield image
 
 
-class Scattered(Settings):
+class Placed(OfAKind):
+    """A stamp at a place and a time."""
+
+    time_s: NotNegative = 0.0
+    """When it is made [s]; 0 is before the run."""
+
+    def stamp(self, images: Images) -> Stamp:
+        """The stamp itself."""
+        return self.shape(images)
+
+
+class Scattered(OfAKind):
     """Stamps of one shape and different sizes, spread over a region."""
 
-    kind: str
-    """Which stamp."""
     count: Number
     """How many."""
     region: Region
@@ -111,21 +129,16 @@ class Scattered(Settings):
     time_s: Range = (0.0, 0.0)
     """When they are made [s], or a range of times; 0 is before the run."""
 
-    @model_validator(mode="after")
-    def _is_a_stamp(self) -> Self:
-        self._shape()
-        return self
+    def shape(self, images: Images, **place: float) -> Stamp:
+        """The shape that all have, at the anchor."""
+        return super().shape(images, x=0.0, y=0.0, **place)
 
-    def _shape(self) -> Stamp:
-        kind = REGISTRY[self.kind]
-        return kind(x=0.0, y=0.0, **given(self, names_of(kind) - _CENTRE))
-
-    def draw(self, rng: Rng) -> list[tuple[float, Stamp]]:
+    def draw(self, rng: Rng, images: Images) -> list[tuple[float, Stamp]]:
         """Times [s] and stamps."""
         places = self.region.draw(rng, self.count)
         sizes = draw_sizes(self.size, rng, self.count)
         times = draw(self.time_s, rng, self.count)
-        shape = self._shape()
+        shape = self.shape(images)
         return [
             (float(time), replace(shape.scaled(float(size)), x=float(x), y=float(y)))
             for time, size, (x, y) in zip(times, sizes, places, strict=True)
@@ -191,10 +204,18 @@ def _models(base: type[Settings], ending: str, skip: frozenset[str]) -> list[typ
             __base__=base,
             __doc__=kind.__doc__,
             kind=kind_field(name),
-            **fields_of(kind, skip),
+            **_fields(kind, skip),
         )
         for name, kind in REGISTRY.items()
     ]
+
+
+def _fields(kind: type[Stamp], skip: frozenset[str]) -> dict[str, Any]:
+    """Fields of a stamp; a file names an image where the stamp holds it."""
+    found = fields_of(kind, skip)
+    if "image" in found:
+        found["image"] = (ImageFile, Field(description="The image of its heights."))
+    return found
 
 
 AnyStamp = Annotated[Placed, OneOf(_models(Placed, "Placed", frozenset()))]

@@ -84,9 +84,9 @@ def most_overlapping(stamps: Sequence[Stamp]) -> int:
     if len(stamps) < 2:
         return len(stamps)
     spans = []
-    for centre in (np.array([one.y for one in stamps]), np.array([one.x for one in stamps])):
-        reach = np.array([one.reach for one in stamps])
-        low, high = centre - reach, centre + reach
+    extents = np.array([one.extent for one in stamps])
+    for axis, centre in ((1, [one.y for one in stamps]), (0, [one.x for one in stamps])):
+        low, high = centre + extents[:, axis], centre + extents[:, axis + 2]
         size = max(float(high.max() - low.min()) / _BINS, 1e-300)
         first, last = (((end - low.min()) / size).astype(np.int64) for end in (low, high))
         spans.append((np.clip(first, 0, _BINS - 1), np.clip(last, 0, _BINS - 1) + 1))
@@ -153,5 +153,5 @@ def estimate(
         found.append(
             ErrorEstimate("time step", None, None, 0.0, "nothing moved, or no check asked")
         )
-    found.append(rounding_error(stamps_of(schedule(setup.scenario))))
+    found.append(rounding_error(stamps_of(schedule(setup.scenario, images=setup.images))))
     return found

@@ -25,7 +25,8 @@ BALL_TABLE, SAMPLE_TABLE = "balls.parquet", "samples.parquet"
 def happening(setup: Setup, simulation: Simulation, recording: Recording) -> Happening:
     """Where things happened."""
     radii = simulation.balls.radii if simulation.balls is not None else np.zeros(0)
-    return Happening(stamps_of(schedule(setup.scenario)), recording.places[:, :, :2], radii)
+    stamps = stamps_of(schedule(setup.scenario, images=setup.images))
+    return Happening(stamps, recording.places[:, :, :2], radii)
 
 
 def write_picture(folder: Path, setup: Setup, simulation: Simulation, recording: Recording) -> None:

@@ -189,10 +189,17 @@ def actor_parts(scenario: Scenario) -> list[Part]:
     stamps = len(scenario.stamps) + sum(group.count for group in scenario.scatter)
     balls = sum(group.count for group in scenario.balls)
     checked = checked_balls(scenario)
+    files = [file for one in (*scenario.stamps, *scenario.scatter) for file in one.files()]
     samples = sum(group.count for group in scenario.samples)
     rerun = checked > 0 and scenario.steps > 0
     return [
-        Part("stamps", stamps > 0, _number(stamps, "stamp"), kernels=("terrasim.kernels.stamps",)),
+        Part(
+            "stamps",
+            stamps > 0,
+            _number(stamps, "stamp"),
+            modules=("OpenImageIO",) if any(_image(one.path) for one in files) else (),
+            kernels=("terrasim.kernels.stamps",),
+        ),
         Part(
             "balls",
             balls > 0,

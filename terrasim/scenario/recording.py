@@ -64,7 +64,8 @@ class Recording:
     def _stage_tiles(self) -> StageTiles:
         simulation, scenario = self._simulation, self._setup.scenario
         grid, anchor = simulation.terrain.grid, self._setup.anchor
-        struck = stamp_boxes(stamps_of(schedule(scenario)), anchor, grid.spacing)
+        stamps = stamps_of(schedule(scenario, images=self._setup.images))
+        struck = stamp_boxes(stamps, anchor, grid.spacing)
         focus = [*struck, *ball_boxes(self._setup, grid.spacing)]
         choice = choose_tiles(grid, focus, most_cells=scenario.output.usd_cells)
         return StageTiles(simulation.terrain, choice, struck)

@@ -11,6 +11,7 @@ from terrasim.progress import Progress, silent
 from terrasim.scenario.device_memory import counted_memory
 from terrasim.scenario.estimate import estimate
 from terrasim.scenario.fingerprint import hash_heights
+from terrasim.scenario.images import read_images
 from terrasim.scenario.libraries import import_libraries
 from terrasim.scenario.outputs import (
     write_ball_table,
@@ -24,7 +25,7 @@ from terrasim.scenario.recording import Recording
 from terrasim.scenario.run_folder import check_place, run_folder
 from terrasim.scenario.samples import Sampled, take_samples
 from terrasim.scenario.scenario import Scenario, load_scenario, parse_scenario, scenario_settings
-from terrasim.scenario.schedule import Event
+from terrasim.scenario.schedule import Event, image_files
 from terrasim.scenario.simulation import Setup, Simulation
 from terrasim.scenario.stages import StageTimer
 
@@ -111,7 +112,9 @@ def run_scenario(
     plan = make_plan(scenario, source)
     with timer.stage("import libraries"):
         import_libraries(plan)
-    setup = Setup(scenario, source, plan.anchor)
+    with timer.stage("read images"):
+        images = read_images(image_files(scenario), folder)
+    setup = Setup(scenario, source, plan.anchor, images=images)
     with run_folder(out) as growing:
         outcome = _simulate(growing, setup, timer, progress)
         progress(0.9, "estimate the error")

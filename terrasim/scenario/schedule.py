@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from terrasim.deform.stamps import Stamp
 from terrasim.scenario.actors import Rng
+from terrasim.scenario.images import ImageFile, Images
 from terrasim.scenario.scenario import Scenario
 
 SCATTER, BALLS, SAMPLES, CHECK = range(4)
@@ -32,15 +34,29 @@ def random_numbers(seed: int, kind: int, index: int) -> Rng:
     return np.random.default_rng([seed, kind, index])
 
 
-def timed_stamps(scenario: Scenario) -> list[tuple[float, Stamp]]:
-    """All stamps of a scenario with their times [s], in the file's order."""
-    found: list[tuple[float, Stamp]] = [(one.time_s, one.stamp()) for one in scenario.stamps]
+def image_files(scenario: Scenario) -> list[ImageFile]:
+    """The image files that a scenario's stamps are made of."""
+    return [file for one in (*scenario.stamps, *scenario.scatter) for file in one.files()]
+
+
+def timed_stamps(
+    scenario: Scenario, images: Images = MappingProxyType({})
+) -> list[tuple[float, Stamp]]:
+    """All stamps of a scenario with their times [s], in the file's order.
+
+    Args:
+        scenario: The scenario.
+        images: What its stamps' image files hold.
+    """
+    found = [(one.time_s, one.stamp(images)) for one in scenario.stamps]
     for index, group in enumerate(scenario.scatter):
-        found += group.draw(random_numbers(scenario.run.seed, SCATTER, index))
+        found += group.draw(random_numbers(scenario.run.seed, SCATTER, index), images)
     return found
 
 
-def schedule(scenario: Scenario, finer: int = 1) -> list[Event]:
+def schedule(
+    scenario: Scenario, finer: int = 1, *, images: Images = MappingProxyType({})
+) -> list[Event]:
     """The stamps of a run by step.
 
     A stamp waits for the first step of the scenario's own time step that begins at its time or
@@ -50,10 +66,11 @@ def schedule(scenario: Scenario, finer: int = 1) -> list[Event]:
     Args:
         scenario: The scenario.
         finer: Steps in one of the scenario's.
+        images: What its stamps' image files hold.
     """
     own = scenario.run.dt_s
     by_step: dict[int, list[Stamp]] = {}
-    for time_s, stamp in timed_stamps(scenario):
+    for time_s, stamp in timed_stamps(scenario, images):
         # A time that is a whole number of steps up to rounding is that step.
         step = min(math.ceil(time_s / own - 1e-9), scenario.steps)
         by_step.setdefault(step, []).append(stamp)

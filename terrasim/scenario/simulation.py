@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
@@ -15,6 +15,7 @@ from terrasim.cache.agent import Agent, ahead
 from terrasim.cache.needs import Need
 from terrasim.deform.ledger import Ledger
 from terrasim.scenario.agent_path import agent_at
+from terrasim.scenario.images import Images
 from terrasim.scenario.scenario import Scenario
 from terrasim.scenario.schedule import Event, schedule
 from terrasim.scenario.stages import StageTimer
@@ -39,6 +40,8 @@ class Setup:
     """Steps in one of the scenario's."""
     chosen: npt.NDArray[np.int64] | None = None
     """Which balls take part; all by default."""
+    images: Images = field(default_factory=dict)
+    """What the image files of its stamps hold."""
 
     @property
     def dt_s(self) -> float:
@@ -77,7 +80,9 @@ class Simulation:
             )
         self.balls: Any = None
         try:
-            self._events = {event.step: event for event in schedule(scenario, setup.finer)}
+            self._events = {
+                event.step: event for event in schedule(scenario, setup.finer, images=setup.images)
+            }
             self.apply_due()
             self._place_balls()
         except BaseException:

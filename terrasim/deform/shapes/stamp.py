@@ -120,8 +120,8 @@ class Stamp(ABC):
 
     def scaled(self, factor: float) -> Self:
         """The same shape with all its lengths, heights included, times a factor."""
-        grown = {name: getattr(self, name) * factor for name in self.lengths}
-        return replace(self, **grown)
+        own = {name: getattr(self, name) for name in self.lengths}
+        return replace(self, **{name: v * factor for name, v in own.items() if v is not None})
 
 
 def disc(radius: float) -> Extent:
@@ -129,7 +129,5 @@ def disc(radius: float) -> Extent:
     return (-radius, -radius, radius, radius)
 
 
-NO_BEND = Bounds(0.0, 0.0, 0.0, 0.0)
-"""Of what changes nothing."""
 KINK = math.inf
 """The curvature of a kink, and the slope of a step."""
