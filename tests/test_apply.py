@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from terrasim.counts import COUNT_M, HOLE, MAX_COUNT, Counts
-from terrasim.deform.apply import apply, coarse_bounds, locate
+from terrasim.deform.apply import apply_stamps as apply
 from terrasim.deform.stamps import Crater, Gaussian, Stamp
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
@@ -254,39 +254,6 @@ def test_far_away_is_as_here() -> None:
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("edges", [Grid(257, 257, 1.0), ODD])
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda x, y: Gaussian(x, y, 2.0, 11.0),
-        lambda x, y: Gaussian(x, y, -2.0, 1.3),
-        lambda x, y: Crater(x, y, 30.0, 5.0, 1.0),
-        lambda x, y: Crater(x, y, 3.0, 1.0, 0.0),
-    ],
-)
-def test_what_a_level_misses_of_a_stamp_is_bounded(
-    make: Callable[[float, float], Stamp], edges: Grid
-) -> None:
-    """On flat ground the exact error is the stamp's own, and the bound is not idle."""
-    rng = np.random.default_rng(5)
-    middle = (edges.col + edges.cols / 2) * edges.spacing, 50.0
-    # The last ones are steepest at the edges.
-    west, south = edges.col * edges.spacing, edges.row * edges.spacing
-    places = [(rng.uniform(0.0, 9.0, 2) + middle).tolist() for _ in range(3)]
-    for x, y in [*places, (west + 11, 60.0), (60.0, south - 1)]:
-        stamp = make(x, y)
-        with Terrain(ArraySource(np.zeros((edges.rows, edges.cols), np.int32), edges)) as terrain:
-            apply(terrain, [stamp])
-            exact = ArraySource(heights(terrain), edges)
-            placed = locate(terrain, [stamp], (0, 0))
-            for key in every_block(terrain):
-                error = error_of(terrain, key)
-                assert error >= exact.block(key).error
-                assert error <= coarse_bounds(edges, placed, key.level)[0]
-                if key.level == 0:
-                    assert error == 0
-
-
 def test_the_bound_of_a_smooth_stamp_is_nearly_reached() -> None:
     """A gaussian whose top lies halfway along a diagonal is missed by its curvature's bound."""
     grid = Grid(257, 257, 1.0)
@@ -318,16 +285,6 @@ def test_a_block_of_holes_has_no_range() -> None:
         assert_blocks_follow(terrain, heights(terrain))
 
 
-def test_stamps_that_share_no_cell_do_not_add_their_errors() -> None:
-    """Two hundred craters in one block: the bound is that of a few."""
-    grid = Grid(513, 513, 1.0)
-    stamps = [Crater(20.0 + 30 * i, 20.0 + 30 * j, 3.0, 1.0) for i in range(15) for j in range(15)]
-    with Terrain(ArraySource(np.zeros((513, 513), np.int32), grid)) as terrain:
-        one = coarse_bounds(grid, locate(terrain, stamps[:1], (0, 0)), 1)[0]
-        apply(terrain, stamps)
-        assert error_of(terrain, Block(1, 0, 0)) == one
-
-
 def test_a_stamp_too_far_to_be_numbered_is_refused_and_nothing_changes() -> None:
     grid = Grid(10, 10, 1.0)
     with Terrain(ArraySource(np.zeros((10, 10), np.int32), grid)) as terrain:
@@ -338,7 +295,7 @@ def test_a_stamp_too_far_to_be_numbered_is_refused_and_nothing_changes() -> None
 
 def test_more_columns_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     # The package offers the function under the module's name.
-    monkeypatch.setattr(sys.modules["terrasim.deform.apply"], "MAX_COLUMNS", 10)
+    monkeypatch.setattr(sys.modules["terrasim.deform.placing"], "MAX_COLUMNS", 10)
     grid = Grid(20, 20, 1.0)
     with Terrain(ArraySource(np.zeros((20, 20), np.int32), grid)) as terrain:
         with pytest.raises(InputError, match=r"the stamps span 11 columns .* apply fewer"):

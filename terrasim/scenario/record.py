@@ -126,8 +126,8 @@ def make_record(
             **asdict(outcome.ledger),
             "net": outcome.ledger.net,
             "net_m3": outcome.ledger.volume(spacing),
-            "removed_m3": outcome.ledger.removed * COUNT_M * spacing**2,
-            "added_m3": outcome.ledger.added * COUNT_M * spacing**2,
+            "removed_m3": outcome.ledger.removed / outcome.ledger.unit * COUNT_M * spacing**2,
+            "added_m3": outcome.ledger.added / outcome.ledger.unit * COUNT_M * spacing**2,
         },
         "stage": outcome.shown,
         "memory": {

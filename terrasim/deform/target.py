@@ -1,0 +1,103 @@
+"""The posts that stamps change: those of level 0, or those of the detail grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from terrasim.counts import COUNTS_PER_M
+from terrasim.deform.anchored import Anchor
+from terrasim.errors import InputError
+from terrasim.grid import Span
+from terrasim.kernels.addressing import BLOCK_SHIFT
+from terrasim.kernels.stamps import Posts
+from terrasim.terrain import Terrain
+
+
+@dataclass(frozen=True)
+class Target:
+    """A lattice of posts, and what their counts mean."""
+
+    level: int
+    """Level of its blocks: 0, or -1 for the detail grid."""
+    factor: int
+    """Posts along a cell of level 0, and parts of a count; 1 for level 0 itself."""
+    row: int
+    """First row of posts on the terrain."""
+    last_row: int
+    """Last row."""
+    col: int
+    """First column."""
+    last_col: int
+    """Last column."""
+    row0: int
+    """Row of level 0 that its row 0 lies on."""
+    col0: int
+    """Column of level 0 that its column 0 lies on."""
+    spacing: float
+    """Distance between its posts [m]."""
+    datum: float
+    """World z of count 0 [m]."""
+
+    @property
+    def per_metre(self) -> float:
+        """Its counts in a metre."""
+        return float(COUNTS_PER_M * self.factor)
+
+    @property
+    def unit(self) -> int:
+        """Parts of a count at a post of level 0 that a count at one of its posts is."""
+        return self.factor**3
+
+    @property
+    def blocks(self) -> Span:
+        """Its blocks that hold posts of the terrain."""
+        return Span(
+            self.row >> BLOCK_SHIFT,
+            (self.last_row >> BLOCK_SHIFT) + 1,
+            self.col >> BLOCK_SHIFT,
+            (self.last_col >> BLOCK_SHIFT) + 1,
+        )
+
+    def anchor(self, anchor: Anchor) -> Anchor:
+        """Its post that a post of level 0 is."""
+        return (anchor[0] - self.row0) * self.factor, (anchor[1] - self.col0) * self.factor
+
+    def counts(self, z: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """World heights [m] as its counts, not rounded."""
+        return (z - self.datum) * self.per_metre
+
+    def posts(self, *, undo: bool) -> Any:
+        """The same as kernels take it; ``undo`` turns what is added around."""
+        posts: Any = Posts()
+        posts.row, posts.last_row = self.row, self.last_row
+        posts.col, posts.last_col = self.col, self.last_col
+        posts.spacing = self.spacing
+        posts.unit = -self.per_metre if undo else self.per_metre
+        return posts
+
+
+def target_of(terrain: Terrain, *, detail: bool) -> Target:
+    """The posts of level 0, or of the detail grid.
+
+    Raises:
+        InputError: If the terrain has no detail grid.
+    """
+    grid = terrain.grid
+    if detail:
+        raise InputError("this terrain has no detail grid; open it with a detail factor")
+    return Target(
+        level=0,
+        factor=1,
+        row=grid.row,
+        last_row=grid.row + grid.rows - 1,
+        col=grid.col,
+        last_col=grid.col + grid.cols - 1,
+        row0=0,
+        col0=0,
+        spacing=grid.spacing,
+        datum=grid.datum,
+    )
