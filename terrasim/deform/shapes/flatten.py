@@ -33,10 +33,9 @@ class Flatten(Windowed):
     kind: ClassVar[int] = FLATTEN
     name: ClassVar[str] = "flatten"
     lengths: ClassVar[tuple[str, ...]] = ("radius", "size_x", "size_y", "fade")
+    modes: ClassVar[tuple[str, ...]] = ("blend", "dig", "fill", "replace")
 
     def _check(self) -> None:
-        if self.mode == "add":
-            refuse(self.name, "mode", "be blend or dig or fill or replace", "'add'")
         super()._check()
         if self._rise > TALLEST:
             field = "slope_x" if abs(self.slope_x) >= abs(self.slope_y) else "slope_y"

@@ -21,7 +21,7 @@ MAX_SAMPLES = 1 << 24
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HeightImage:
     """Samples of an image, row 0 in the north. Two of the same samples are equal."""
 
@@ -45,6 +45,11 @@ class HeightImage:
         if wrong.size:
             raise InputError(f"image: weights must lie between 0 and 1, got {wrong[0]:g}")
         object.__setattr__(self, "weights", weights)
+
+    def __repr__(self) -> str:
+        """Its size, not its samples."""
+        rows, cols = self.samples.shape
+        return f"HeightImage({rows} x {cols}{' with weights' if self.weights is not None else ''})"
 
     def __eq__(self, other: object) -> bool:
         """Whether the samples and weights are the same."""

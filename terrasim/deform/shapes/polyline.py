@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -14,11 +15,11 @@ from terrasim.deform.shapes.checks import NARROWEST, WIDEST, refuse
 MAX_POINTS = 1_000_000
 """Most points of a polyline."""
 
-Points = tuple[tuple[float, float], ...]
+Points = Sequence[tuple[float, float]]
 Floats = npt.NDArray[np.float64]
 
 
-def check_points(points: Any, stamp: str) -> Points:
+def check_points(points: Any, stamp: str) -> tuple[tuple[float, float], ...]:
     """Points of a polyline as pairs of floats.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -69,10 +69,14 @@ class Stamp(ABC):
     """What files and errors call it."""
     lengths: ClassVar[tuple[str, ...]]
     """Its own fields that grow with its size."""
+    modes: ClassVar[tuple[str, ...]] = get_args(Mode)
+    """How it can meet the ground."""
 
     def __post_init__(self) -> None:
         """Refuse what is no such stamp."""
         check_fields(self, self.name)
+        if self.mode not in self.modes:
+            refuse(self.name, "mode", f"be {' or '.join(self.modes)}", repr(self.mode))
         if self.mode == "add" and self.z is not None:
             refuse(self.name, "z", "be left out for mode add, which starts from the ground", self.z)
         if self.mode != "add" and self.z is None:

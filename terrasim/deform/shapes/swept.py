@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal, Self
@@ -18,7 +19,6 @@ from terrasim.deform.shapes.checks import (
 )
 from terrasim.deform.shapes.cross_section import CrossSection, Profile
 from terrasim.deform.shapes.polyline import (
-    Points,
     check_points,
     is_closed,
     length,
@@ -40,7 +40,7 @@ class _Swept(Stamp):
     stop at right angles to the line. A line that ends where it begins has no ends.
     """
 
-    points: Points
+    points: Sequence[tuple[float, float]]
     """Places it runs through [m from its place], at least 2: east and north."""
     width: float
     """Its whole width, at the ground before [m]."""

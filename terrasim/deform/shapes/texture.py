@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -28,7 +28,7 @@ class Texture(Stamp):
     it.
     """
 
-    image: HeightImage = field(repr=False)
+    image: HeightImage
     """Samples and their weights; an array of samples will do."""
     size_x: float
     """Width along x before it is turned [m]."""
