@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,11 +9,15 @@ import numpy.typing as npt
 import pytest
 
 from terrasim.counts import COUNT_M, HOLE, MAX_COUNT, Counts
+from terrasim.deform import placing
 from terrasim.deform.apply import apply_stamps as apply
-from terrasim.deform.stamps import Crater, Gaussian, Stamp
-from terrasim.errors import InputError
+from terrasim.deform.apply import check_stamps
+from terrasim.deform.stamps import ConeStamp, Crater, Gaussian, Stamp
+from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
+from terrasim.sources.analytic import Flat
 from terrasim.sources.array_source import ArraySource
+from terrasim.sources.source import BlockData
 from terrasim.terrain import Terrain
 
 SMALL_POOL = 10 << 18
@@ -293,11 +296,61 @@ def test_a_stamp_too_far_to_be_numbered_is_refused_and_nothing_changes() -> None
         assert not heights(terrain).any()
 
 
-def test_more_columns_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The package offers the function under the module's name.
-    monkeypatch.setattr(sys.modules["terrasim.deform.placing"], "MAX_COLUMNS", 10)
+@pytest.mark.parametrize(
+    ("limit", "said"),
+    [
+        ("MAX_COLUMNS", r"the stamps span 11 columns of posts, .* apply fewer"),
+        ("MAX_BLOCKS", r"the stamps touch 1 blocks, at most 0 can be applied at once"),
+    ],
+)
+def test_more_than_fits_is_refused(monkeypatch: pytest.MonkeyPatch, limit: str, said: str) -> None:
+    monkeypatch.setattr(placing, limit, 10 if limit == "MAX_COLUMNS" else 0)
     grid = Grid(20, 20, 1.0)
     with Terrain(ArraySource(np.zeros((20, 20), np.int32), grid)) as terrain:
-        with pytest.raises(InputError, match=r"the stamps span 11 columns .* apply fewer"):
+        with pytest.raises(InputError, match=said):
+            check_stamps(terrain, [Crater(10.0, 10.0, 5.0, 1.0)])
+        with pytest.raises(InputError, match=said):
             apply(terrain, [Crater(10.0, 10.0, 5.0, 1.0)])
         assert not heights(terrain).any()
+
+
+def test_a_stamp_over_a_whole_planet_is_refused_before_its_blocks_are_listed() -> None:
+    """Seventeen million million blocks are counted, not enumerated."""
+    grid = Grid(2**30, 2**30, 1.0)
+    with (
+        Terrain(Flat(grid)) as terrain,
+        pytest.raises(InputError, match="touch 17592186044416 block"),
+    ):
+        apply(terrain, [ConeStamp(2.0**29, 2.0**29, 9e8, 1.0)])
+
+
+class Failing(ArraySource):
+    """A source whose last block of level 0 cannot be read."""
+
+    def block(self, key: Block) -> BlockData:
+        if key == Block(0, 4, 4):
+            raise RunError("block 4, 4 is damaged")
+        return super().block(key)
+
+
+def test_a_block_that_cannot_be_read_leaves_the_ground_as_it_was() -> None:
+    """The pool holds all that is touched, so everything is read before anything changes."""
+    grid = Grid(1100, 1100, 1.0)
+    with Terrain(Failing(rough(grid), grid)) as terrain:
+        with pytest.raises(RunError, match=r"^block 4, 4 is damaged"):
+            apply(terrain, [Gaussian(550.0, 550.0, 1.0, 200.0)])
+        for key in every_block(terrain):
+            if key != Block(0, 4, 4):
+                wanted = ArraySource(rough(grid), grid).block(key)
+                np.testing.assert_array_equal(posts_of(terrain, key), wanted.posts)
+                assert terrain.cache.describe(key) == (wanted.lowest, wanted.highest, wanted.error)
+
+
+def test_ground_left_half_changed_is_said_to_be_so() -> None:
+    """The pool holds ten of the twenty-five blocks."""
+    grid = Grid(1100, 1100, 1.0)
+    with (
+        Terrain(Failing(rough(grid), grid), pool_bytes=SMALL_POOL) as terrain,
+        pytest.raises(RunError, match=r"half-changed .* 4, 4 is damaged\); open the terrain again"),
+    ):
+        apply(terrain, [Gaussian(550.0, 550.0, 1.0, 200.0)])
