@@ -1,0 +1,145 @@
+"""Pieces: what of a block changes over one block of the level below, and groups that fit a pool."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from terrasim.deform.regions import Region, Regions
+from terrasim.grid import Block, Grid
+from terrasim.kernels.addressing import BLOCK
+from terrasim.kernels.propagate import QUADRANT
+
+MOST = 256
+"""Pieces in a launch."""
+
+
+class Piece(NamedTuple):
+    """A region of a block."""
+
+    block: Block
+    """The block."""
+    below: tuple[Block, Block, Block, Block]
+    """The block below it, and the next ones east, north and both; the same again if not needed."""
+    place: tuple[int, ...]
+    """Fields ``row`` to ``east_col`` of ``kernels.propagate.Piece``."""
+    rise: int
+    """At least what the surface rose by [counts]."""
+    fall: int
+    """At least what it fell by [counts]."""
+    sample: bool = True
+    """Whether to sample its posts."""
+    measure: bool = True
+    """Whether to compare it with the level below."""
+
+    @property
+    def needs(self) -> set[Block]:
+        """Blocks that must be resident together."""
+        needed = set(self.below) if self.measure else {self.below[0]}
+        if self.sample:
+            needed.add(self.block)
+        return needed
+
+    def record(self, layers: Mapping[Block, int]) -> tuple[int, ...]:
+        """``kernels.propagate.Piece``."""
+        layer = layers[self.block] if self.sample else -1
+        below = self.below if self.measure else self.below[:1] * 4
+        return (layer, *(layers[key] for key in below), *self.place, int(self.measure))
+
+
+def pieces_of(grid: Grid, level: int, regions: Regions) -> list[Piece]:
+    """Pieces of a level in the order of their blocks."""
+    span = grid.blocks(level - 1)
+    found = []
+    for (row, col), region in sorted(regions.items()):
+        rows = _source(row, span.row0, span.row1, region.row1)
+        cols = _source(col, span.col0, span.col1, region.col1)
+        block = Block(level, row >> 1, col >> 1)
+        below = tuple(
+            Block(level - 1, r, c) for r in (rows.own, rows.next) for c in (cols.own, cols.next)
+        )
+        own, east, north, corner = below
+        found.append(
+            Piece(
+                block,
+                (own, east, north, corner),
+                _place(row, col, region, rows, cols),
+                region.rise,
+                region.fall,
+            )
+        )
+    return found
+
+
+def groups(pieces: list[Piece], capacity: int, top: int) -> Iterator[list[Piece]]:
+    """Pieces that may be in the pool together, in order.
+
+    Args:
+        pieces: Pieces of one level.
+        capacity: Blocks that the pool holds beside the coarsest level; at least four, or all.
+        top: The coarsest level, which is always there.
+    """
+    group: list[Piece] = []
+    held: set[Block] = set()
+    for piece in _fitting(pieces, capacity, top):
+        needs = {key for key in piece.needs if key.level < top}
+        if group and (len(held | needs) > capacity or len(group) == MOST):
+            yield group
+            group, held = [], set()
+        group.append(piece)
+        held |= needs
+    if group:
+        yield group
+
+
+def _fitting(pieces: list[Piece], capacity: int, top: int) -> Iterator[Piece]:
+    """The pieces; one too large for the pool is measured and sampled apart."""
+    for piece in pieces:
+        # A block and four below are the most that a piece needs.
+        if capacity >= 5 or sum(key.level < top for key in piece.needs) <= capacity:
+            yield piece
+        else:
+            yield piece._replace(sample=False)
+            yield piece._replace(measure=False)
+
+
+class _Source(NamedTuple):
+    """Where the posts of a quadrant come from along one axis."""
+
+    own: int
+    """Row of blocks below."""
+    first: int
+    """Row of posts in it of the quadrant's first."""
+    step: int
+    """From one row of posts to the next."""
+    next: int
+    """Row of blocks below that the row after the quadrant's last lies in."""
+    next_first: int
+    """Its row there."""
+
+
+def _source(quadrant: int, begin: int, end: int, last: int) -> _Source:
+    """Beyond the terrain all rows repeat the outermost one."""
+    own = min(max(quadrant, begin), end - 1)
+    step = 2 if own == quadrant else 0
+    first = BLOCK - 1 if quadrant >= end else 0
+    if last % QUADRANT != QUADRANT - 1:
+        return _Source(own, first, step, own, 0)
+    after = min(max(quadrant + 1, begin), end - 1)
+    return _Source(own, first, step, after, 0 if quadrant + 1 < end else BLOCK - 1)
+
+
+def _place(row: int, col: int, region: Region, rows: _Source, cols: _Source) -> tuple[int, ...]:
+    return (
+        region.row0 - row * QUADRANT,
+        region.row1 - region.row0 + 1,
+        region.col0 - col * QUADRANT,
+        region.col1 - region.col0 + 1,
+        ((row & 1) * BLOCK + (col & 1)) * QUADRANT,
+        rows.step,
+        cols.step,
+        rows.first,
+        cols.first,
+        rows.next_first,
+        cols.next_first,
+    )

@@ -1,0 +1,117 @@
+"""Where the levels change: rectangles of cells, each over one block of the level below."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from terrasim.deform.touched import Touched
+from terrasim.grid import Grid
+from terrasim.kernels.addressing import BLOCK
+from terrasim.kernels.propagate import QUADRANT
+
+
+class Region(NamedTuple):
+    """A rectangle of a level's cells over which the surface may have changed."""
+
+    row0: int
+    """First row of cells."""
+    row1: int
+    """Last row, inclusive."""
+    col0: int
+    """First column."""
+    col1: int
+    """Last column, inclusive."""
+    rise: int
+    """At least what the surface rose by [counts]."""
+    fall: int
+    """At least what it fell by [counts]."""
+
+
+Regions = dict[tuple[int, int], Region]
+"""Regions of a level by row and column of the blocks of the level below that they lie over; such a
+row of blocks may lie beyond the terrain."""
+
+
+def first_regions(grid: Grid, touched: Iterable[Touched]) -> Regions:
+    """Regions of level 1."""
+    add = _Adder(grid, 1)
+    for one in touched:
+        # A post belongs to the cells on both its sides.
+        rows, cols = (one.row0 - 1, one.row1), (one.col0 - 1, one.col1)
+        # A level's post is base and detail rounded: it may move by one count more.
+        more = int(one.key.level < 0)
+        add(
+            Region(
+                rows[0] >> 1, rows[1] >> 1, cols[0] >> 1, cols[1] >> 1, one.rise + more, one.fall
+            )
+        )
+    return add.regions
+
+
+def next_regions(grid: Grid, level: int, below: Regions) -> Regions:
+    """Regions of a level from those of the level below."""
+    add = _Adder(grid, level)
+    for one in below.values():
+        add(
+            one._replace(
+                row0=one.row0 >> 1, row1=one.row1 >> 1, col0=one.col0 >> 1, col1=one.col1 >> 1
+            )
+        )
+    return add.regions
+
+
+class _Adder:
+    """Collects regions of a level, cut by the blocks below; those over the same one are joined."""
+
+    def __init__(self, grid: Grid, level: int) -> None:
+        self.regions: Regions = {}
+        span = grid.blocks(level)
+        self._rows = _Axis.of(grid.row, grid.rows, level, span.row0, span.row1)
+        self._cols = _Axis.of(grid.col, grid.cols, level, span.col0, span.col1)
+
+    def __call__(self, one: Region) -> None:
+        row0, row1 = self._rows.widened(one.row0, one.row1)
+        col0, col1 = self._cols.widened(one.col0, one.col1)
+        for row in range(row0 // QUADRANT, row1 // QUADRANT + 1):
+            low, high = max(row0, row * QUADRANT), min(row1, row * QUADRANT + QUADRANT - 1)
+            for col in range(col0 // QUADRANT, col1 // QUADRANT + 1):
+                left, right = max(col0, col * QUADRANT), min(col1, col * QUADRANT + QUADRANT - 1)
+                old = self.regions.get((row, col))
+                part = Region(low, high, left, right, one.rise, one.fall)
+                self.regions[row, col] = part if old is None else _joined(old, part)
+
+
+class _Axis(NamedTuple):
+    """One axis of a level."""
+
+    first: int
+    """The last cell that begins before the terrain does."""
+    last: int
+    """The first cell that ends beyond the terrain."""
+    low: int
+    """First post of the level's blocks."""
+    high: int
+    """Last post of them."""
+
+    @classmethod
+    def of(cls, first: int, count: int, level: int, begin: int, end: int) -> _Axis:
+        last = (first + count - 1) >> level
+        return cls((first - 1) >> level, last, begin * BLOCK, end * BLOCK - 1)
+
+    def widened(self, first: int, last: int) -> tuple[int, int]:
+        """A range of cells; one that meets the terrain's edge goes on to its blocks' end."""
+        low = self.low if first <= self.first else max(first, self.low)
+        high = self.high if last >= self.last else min(last, self.high)
+        return low, high
+
+
+def _joined(one: Region, other: Region) -> Region:
+    return Region(
+        min(one.row0, other.row0),
+        max(one.row1, other.row1),
+        min(one.col0, other.col0),
+        max(one.col1, other.col1),
+        max(one.rise, other.rise),
+        max(one.fall, other.fall),
+    )
