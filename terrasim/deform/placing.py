@@ -28,6 +28,8 @@ MAX_BLOCKS = 2**24
 """Blocks that all stamps of a call touch, each stamp's counted for itself."""
 MAX_DATA = 2**27
 """Numbers that all stamps of a call consist of: 8 bytes each."""
+SLACK = 1e-6
+"""Posts that a stamp may lie outside its extent by rounding, at most."""
 _MODES = {mode: i for i, mode in enumerate(get_args(Mode))}
 
 
@@ -81,9 +83,8 @@ def place(
     for axis, name, at, (first, last) in (("y", "row", 1, spans[0]), ("x", "col", 0, spans[1])):
         cell, inside = cells(fields[:, 2 + at], origin[1 - at], target.spacing, axis)
         records[f"cell_{name}"], records[axis] = cell, inside
-        # Up to a post more on either side than it reaches: rounding there decides nothing.
-        low = cell + np.floor((inside + fields[:, 5 + at]) / target.spacing)
-        high = cell + np.ceil((inside + fields[:, 7 + at]) / target.spacing)
+        low = cell + np.ceil((inside + fields[:, 5 + at]) / target.spacing - SLACK)
+        high = cell + np.floor((inside + fields[:, 7 + at]) / target.spacing + SLACK)
         records[f"{name}0"] = np.clip(low, first, last + 1)
         records[f"{name}1"] = np.clip(high, first - 1, last)
     records["kind"], records["mode"] = fields[:, 0], fields[:, 1]
