@@ -81,7 +81,7 @@ def apply_stamps(
         RunError: If a block cannot be read or written. Nothing is changed if the pool holds all
             that the stamps touch; else the error says that the terrain must be opened again.
     """
-    runs = prepare(terrain, stamps, anchor=anchor, undo=undo, by_stamp=by_stamp)
+    runs = _prepare(terrain, stamps, anchor, undo=undo, by_stamp=by_stamp)
     _bring_all(terrain, runs)
     edit = _Edit(terrain, undo, by_stamp)
     edit.ledger = Ledger(outside=len(stamps) - sum(len(run.placed.numbers) for run in runs))
@@ -111,31 +111,36 @@ def check_stamps(
             detail grid that the terrain has not, or is to be taken back and did more than add; or
             if the stamps are too many and wide for one call.
     """
-    prepare(terrain, stamps, anchor=anchor, undo=undo)
+    _place_all(terrain, stamps, anchor, undo=undo)
 
 
-def prepare(
-    terrain: Terrain,
-    stamps: Sequence[Stamp],
-    *,
-    anchor: Anchor,
-    undo: bool = False,
-    by_stamp: bool = False,
-) -> list[Run]:
-    """Find the posts and blocks that stamps touch.
-
-    Raises:
-        InputError: As :func:`check_stamps`.
-    """
+def _place_all(
+    terrain: Terrain, stamps: Sequence[Stamp], anchor: Anchor, *, undo: bool
+) -> list[tuple[Target, Placed]]:
+    """Stamps on their posts, those that follow one another on the same lattice together."""
     if undo and (other := next((one for one in stamps if one.mode != "add"), None)):
         raise InputError(
             f"only stamps of mode add can be taken back exactly, got a {other.name} of mode "
             f"{other.mode}; reset to a snapshot instead"
         )
-    runs = []
+    placed = []
     for detail, numbers in _in_order(stamps):
         target = target_of(terrain, detail=detail)
-        placed = place(stamps, numbers, target, anchor)
+        placed.append((target, place(stamps, numbers, target, anchor)))
+    return placed
+
+
+def _prepare(
+    terrain: Terrain,
+    stamps: Sequence[Stamp],
+    anchor: Anchor,
+    *,
+    undo: bool,
+    by_stamp: bool,
+) -> list[Run]:
+    """Find the posts and blocks that stamps touch."""
+    runs = []
+    for target, placed in _place_all(terrain, stamps, anchor, undo=undo):
         found = touch(placed.records, target.level, target.blocks)
         busiest = int(np.diff(found.begin).max(initial=0))
         if by_stamp and busiest > MAX_OF_A_BLOCK:
