@@ -9,7 +9,9 @@ import pytest
 
 from terrasim.counts import COUNT_M, HOLE, Counts
 from terrasim.grid import Grid, Span
-from terrasim.output.mesh import Outline, TileMesh, outline, tile_counts, tile_mesh, tile_origin
+from terrasim.output.mesh import TileMesh, tile_heights, tile_mesh, tile_origin
+from terrasim.output.outline import Cover, Outline, outline
+from terrasim.output.tile_ground import plain_ground
 from terrasim.output.tiles import TILE, Tile, choose_tiles
 from terrasim.sources.array_source import ArraySource
 
@@ -22,10 +24,14 @@ def posts_of(source: ArraySource, tile: Tile) -> Counts:
 
 def meshes_of(source: ArraySource, focus: Span) -> list[TileMesh]:
     """All tiles of a terrain."""
-    tiles = frozenset(choose_tiles(source.grid, [focus], most_cells=1 << 24).tiles)
-    posts = {tile: posts_of(source, tile) for tile in tiles}
-    shapes = [outline(source.grid, tiles, tile) for tile in sorted(tiles)]
-    return [tile_mesh(source.grid, one, tile_counts(one, posts)) for one in shapes]
+    return meshed(source, frozenset(choose_tiles(source.grid, [focus], most_cells=1 << 24).tiles))
+
+
+def meshed(source: ArraySource, tiles: frozenset[Tile]) -> list[TileMesh]:
+    """Some tiles of a terrain."""
+    ground = {tile: plain_ground(posts_of(source, tile)) for tile in tiles}
+    shapes = [outline(source.grid, Cover(tiles, {}), tile) for tile in sorted(tiles)]
+    return [tile_mesh(source.grid, one, tile_heights(one, ground)) for one in shapes]
 
 
 def rough(rows: int, cols: int, row: int = 0, col: int = 0, holes: bool = False) -> ArraySource:
@@ -64,10 +70,7 @@ def test_a_tile_joins_neighbours_much_finer_on_every_side() -> None:
     fine = {Tile(0, row, col) for row in range(12) for col in range(12)}
     inside = {Tile(0, row, col) for row in range(4, 8) for col in range(4, 8)}
     tiles = frozenset(fine - inside | {Tile(2, 1, 1)})
-    posts = {tile: posts_of(source, tile) for tile in tiles}
-    shapes = [outline(source.grid, tiles, tile) for tile in sorted(tiles)]
-    meshes = [tile_mesh(source.grid, one, tile_counts(one, posts)) for one in shapes]
-    check_watertight(meshes, Span(0, 768, 0, 768))
+    check_watertight(meshed(source, tiles), Span(0, 768, 0, 768))
 
 
 def check_watertight(meshes: list[TileMesh], rim: Span) -> None:

@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from terrasim.cache.needs import region_blocks
-from terrasim.counts import COUNT_M, Counts
+from terrasim.counts import COUNT_M
 from terrasim.deform.stamps import Stamp
 from terrasim.grid import Span
 from terrasim.output.colours import ramp, tinted
 from terrasim.output.mesh import (
     Floats,
     TileMesh,
-    outline,
-    tile_counts,
+    tile_heights,
     tile_mesh,
     tile_origin,
     tile_points,
 )
-from terrasim.output.tiles import TILE, Choice, Tile
+from terrasim.output.outline import Cover, outline
+from terrasim.output.tile_ground import Heights, TileGround, plain_ground
+from terrasim.output.tile_history import START, TileHistory, tile_window
+from terrasim.output.tiles import Choice, Tile
 from terrasim.output.usd import MeshPrim, prim_name, sampled
-from terrasim.output.window import read_window
 from terrasim.sources.source import Source
 from terrasim.terrain import Terrain
+
+Metres = npt.NDArray[np.float64]
 
 
 @dataclass
@@ -34,17 +36,20 @@ class _Shown:
     """A tile, and each state of it that a stage will show."""
 
     mesh: TileMesh
-    origin: tuple[float, float, float]
-    before: Counts
-    """Heights of the outline's points before anything deformed them [counts]."""
-    rest: Counts
-    """The same at first [counts]."""
-    changes: list[tuple[float, Counts]] = field(default_factory=list)
+    before: Heights
+    """Heights of the mesh's outline before anything deformed them [counts / factor]."""
+    rest: Heights
+    """The same at first."""
+    changes: list[tuple[float, Heights]] = field(default_factory=list)
     """Time code and heights from then on."""
 
 
 class StageTiles:
-    """Tiles of a terrain, followed through its deformations."""
+    """Tiles of a terrain, followed through its deformations.
+
+    A tile's triangles stay the same through a stage: where there is detail at any time, there are
+    its cells at all times.
+    """
 
     def __init__(self, terrain: Terrain, choice: Choice, struck: Sequence[Span]) -> None:
         """Read all tiles as they are now.
@@ -55,30 +60,27 @@ class StageTiles:
             struck: Rectangles of level-0 posts that are or will be deformed.
         """
         self._terrain = terrain
+        self._tiles = choice.tiles
+        self._struck = struck
+        self._history = TileHistory(terrain, choice)
+        self._found: dict[Tile, _Shown] | None = None
         self.finest = choice.finest
         """Level of the finest tiles."""
-        self.error = 0
-        """Bound of the distance of the finest tiles from level 0 [counts]."""
-        grid = terrain.grid
-        tiles = frozenset(choice.tiles)
-        self._posts = {tile: self._read(tile) for tile in choice.tiles}
-        known = {
-            tile: _source_posts(terrain.source, tile) if _touch_any(tile, struck) else posts
-            for tile, posts in self._posts.items()
-        }
-        self._shown: dict[Tile, _Shown] = {}
-        for tile in choice.tiles:
-            shape = outline(grid, tiles, tile)
-            counts = tile_counts(shape, self._posts)
-            mesh = tile_mesh(grid, shape, counts)
-            if len(mesh.triangles):
-                before = tile_counts(shape, known)
-                self._shown[tile] = _Shown(mesh, tile_origin(grid, mesh), before, counts)
+
+    @property
+    def error(self) -> int:
+        """Bound of the distance of the finest tiles from the ground [counts]."""
+        return self._history.error
+
+    @property
+    def parts(self) -> int:
+        """Cells shown along the side of a cell with detail; the detail's factor if all are."""
+        return self._history.parts
 
     @property
     def cells(self) -> int:
-        """Triangles at the start, in cells."""
-        return sum(len(shown.mesh.triangles) for shown in self._shown.values()) // 2
+        """Triangles, in cells."""
+        return sum(len(shown.mesh.triangles) for shown in self._shown().values()) // 2
 
     def changed(self, time: float, boxes: Sequence[Span]) -> None:
         """Look again at all tiles that touch rectangles of level-0 posts.
@@ -87,16 +89,8 @@ class StageTiles:
             time: Time code from which they are as they are now.
             boxes: Posts that may have changed, half-open.
         """
-        again = {tile for tile in self._posts if _touch_any(tile, boxes)}
-        for tile in sorted(again):
-            self._posts[tile] = self._read(tile)
-        # A neighbour's post on a common edge is touched only where this tile is too.
-        for tile in sorted(again & self._shown.keys()):
-            shown = self._shown[tile]
-            counts = tile_counts(shown.mesh.shape, self._posts)
-            last = shown.changes[-1][1] if shown.changes else shown.rest
-            if not np.array_equal(counts, last):
-                shown.changes.append((time, counts))
+        self._history.read(time, [tile for tile in self._tiles if _touch_any(tile, boxes)])
+        self._found = None
 
     def prims(self, start: float, step: float) -> list[MeshPrim]:
         """All tiles as prims.
@@ -105,69 +99,81 @@ class StageTiles:
             start: The stage's first time code.
             step: Time codes over which a change comes about.
         """
-        scale = (*self._range(), self._largest_change())
-        return [self._prim(shown, scale, (start, step)) for shown in self._shown.values()]
+        all_shown = self._shown().values()
+        scale = (*self._range(), max(map(_largest_change, all_shown), default=0.0))
+        return [self._prim(shown, scale, (start, step)) for shown in all_shown]
 
     def _prim(
         self, shown: _Shown, scale: tuple[float, float, float], clock: tuple[float, float]
     ) -> MeshPrim:
         mesh, grid = shown.mesh, self._terrain.grid
 
-        def points(counts: Counts) -> Floats:
-            return tile_points(grid, mesh.shape, counts, mesh.used, mesh.base)
+        def colours(heights: Heights) -> Floats:
+            before = shown.before[mesh.used] / mesh.factor
+            change = _change(heights[mesh.used], shown.before[mesh.used], mesh.factor)
+            return _colours(before, change, scale)
 
-        def colours(counts: Counts) -> Floats:
-            return _colours(counts[mesh.used], shown.before[mesh.used], scale)
-
-        moved = [(time, points(counts)) for time, counts in shown.changes]
-        dyed = [(time, colours(counts)) for time, counts in shown.changes]
+        moved = [(time, tile_points(grid, mesh, heights)) for time, heights in shown.changes]
+        dyed = [(time, colours(heights)) for time, heights in shown.changes]
         return MeshPrim(
             prim_name(*mesh.shape.tile),
-            shown.origin,
+            tile_origin(grid, mesh),
             mesh.triangles,
             sampled(mesh.points, moved, *clock),
             sampled(colours(shown.rest), dyed, *clock),
         )
 
-    def _read(self, tile: Tile) -> Counts:
-        window = _window(tile)
-        posts = read_window(self._terrain, tile.level, window)
-        if tile.level == self.finest:
-            # Of the blocks just read.
-            keys = region_blocks(self._terrain.grid, window, tile.level)
-            describe = self._terrain.cache.describe
-            self.error = max(self.error, *(describe(key)[2] for key in keys))
-        return posts
+    def _shown(self) -> dict[Tile, _Shown]:
+        """Every tile that has triangles, through all changes known by now."""
+        if self._found is None:
+            cover = self._history.cover()
+            ground = {tile: self._history.at(tile, START) for tile in self._tiles}
+            known = ground | {
+                tile: _source_ground(self._terrain.source, tile, ground[tile])
+                for tile in self._tiles
+                if _touch_any(tile, self._struck)
+            }
+            every = ((tile, self._show(tile, cover, ground, known)) for tile in self._tiles)
+            self._found = {tile: shown for tile, shown in every if len(shown.mesh.triangles)}
+        return self._found
+
+    def _show(
+        self,
+        tile: Tile,
+        cover: Cover,
+        ground: Mapping[Tile, TileGround],
+        known: Mapping[Tile, TileGround],
+    ) -> _Shown:
+        shape = outline(self._terrain.grid, cover, tile)
+        rest = tile_heights(shape, ground)
+        mesh = tile_mesh(self._terrain.grid, shape, rest, self._history.factor)
+        shown = _Shown(mesh, tile_heights(shape, known), rest)
+        seen = [tile, *(leaf for leaf, _, _ in shape.extra)]
+        last = rest
+        for time in self._history.times(seen):
+            heights = tile_heights(shape, {one: self._history.at(one, time) for one in seen})
+            if not np.array_equal(heights, last):
+                shown.changes.append((time, heights))
+                last = heights
+        return shown
 
     def _range(self) -> tuple[float, float]:
         """Lowest and highest height of all tiles [counts]."""
-        known = [shown.rest[shown.mesh.used] for shown in self._shown.values()]
+        known = [
+            shown.rest[shown.mesh.used] / shown.mesh.factor for shown in self._shown().values()
+        ]
         if not known:
             return 0.0, 1.0
         return float(min(k.min() for k in known)), float(max(k.max() for k in known))
 
-    def _largest_change(self) -> float:
-        """Largest difference from the undeformed ground at any time [m]."""
-        found = [
-            float(np.abs(_change(state[shown.mesh.used], shown.before[shown.mesh.used])).max())
-            for shown in self._shown.values()
-            for state in (shown.rest, *(counts for _, counts in shown.changes))
-        ]
-        return max(found, default=0.0)
 
-
-def _window(tile: Tile) -> Span:
-    """Posts of a tile at its level."""
-    row, col = tile.row * TILE, tile.col * TILE
-    return Span(row, row + TILE + 1, col, col + TILE + 1)
-
-
-def _source_posts(source: Source, tile: Tile) -> Counts:
-    """A tile's posts before anything deformed them."""
-    window = _window(tile)
-    return source.posts(
+def _source_ground(source: Source, tile: Tile, like: TileGround) -> TileGround:
+    """A tile before anything deformed it, in as many parts as it is shown in."""
+    window = tile_window(tile)
+    posts = source.posts(
         tile.level, np.arange(window.row0, window.row1), np.arange(window.col0, window.col1)
     )
+    return plain_ground(posts, like.factor, like.parts)
 
 
 def _touch_any(tile: Tile, boxes: Sequence[Span]) -> bool:
@@ -180,16 +186,25 @@ def _touch_any(tile: Tile, boxes: Sequence[Span]) -> bool:
     )  # fmt: skip
 
 
-def _change(after: Counts, before: Counts) -> npt.NDArray[np.float64]:
+def _largest_change(shown: _Shown) -> float:
+    """Largest difference from the undeformed ground at any time [m]."""
+    used, before = shown.mesh.used, shown.before[shown.mesh.used]
+    states = (shown.rest, *(heights for _, heights in shown.changes))
+    return max(
+        float(np.abs(_change(state[used], before, shown.mesh.factor)).max()) for state in states
+    )
+
+
+def _change(after: Heights, before: Heights, factor: int) -> Metres:
     """What was added to points that are no holes [m]."""
-    return (after.astype(np.int64) - before).astype(np.float64) * COUNT_M
+    return (after - before).astype(np.float64) * COUNT_M / factor
 
 
-def _colours(after: Counts, before: Counts, scale: tuple[float, float, float]) -> Floats:
-    """Colours of points by height, tinted where they were deformed."""
+def _colours(before: Metres, change: Metres, scale: tuple[float, float, float]) -> Floats:
+    """Colours of points by height [counts], tinted where they were deformed."""
     low, high, most = scale
-    part = (before.astype(np.float64) - low) / max(high - low, 1.0)
-    return tinted(ramp(part), _change(after, before), most).astype(np.float32)
+    part = (before - low) / max(high - low, 1.0)
+    return tinted(ramp(part), change, most).astype(np.float32)
 
 
 def stamp_boxes(stamps: Sequence[Stamp], anchor: tuple[int, int], spacing: float) -> list[Span]:

@@ -48,6 +48,8 @@ class Choice:
     """The tiles, in order."""
     finest: int
     """Level inside the focus."""
+    room: int = 0
+    """Cells that may be added where there is detail."""
 
 
 def choose_tiles(
@@ -77,7 +79,8 @@ def choose_tiles(
             if len(tiles) > most_tiles:
                 break
         else:
-            return Choice(tuple(sorted(tiles)), finest)
+            room = most_cells - (len(tiles) << (2 * TILE_SHIFT))
+            return Choice(tuple(sorted(tiles)), finest, room)
     raise InputError(
         f"a mesh of {most_cells} cells cannot show this terrain: its coarsest level has "
         f"{len(roots(grid)) << (2 * TILE_SHIFT)}; allow more"

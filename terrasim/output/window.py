@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from terrasim.counts import Counts
 from terrasim.grid import Block, Grid, Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
+from terrasim.output.tile_ground import DetailPosts
 from terrasim.terrain import Terrain
 
 
@@ -56,3 +59,15 @@ def level_window(grid: Grid, level: int, cells: Span) -> Span:
         col0 >> level,
         ((col1 + up) >> level) + 1,
     )
+
+
+def detail_factor(terrain: Terrain) -> int:
+    """Detail cells along a base cell's side, 1 without detail."""
+    del terrain
+    return 1
+
+
+def detail_posts(terrain: Terrain, cells: Span) -> Iterator[DetailPosts]:
+    """Detail that is not all zero in a rectangle of level-0 cells and on its edges."""
+    del terrain, cells
+    yield from ()
