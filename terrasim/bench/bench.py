@@ -45,6 +45,7 @@ BENCHES: dict[str, str] = {
     "layout": "terrasim.bench.layout",
     "rays": "terrasim.bench.rays",
     "balls": "terrasim.bench.balls",
+    "stamps": "terrasim.bench.stamps",
     "pressure": "terrasim.bench.pressure",
 }
 """Name of each bench and the module whose ``measure`` does it.
