@@ -9,6 +9,7 @@ all of these, so the two surfaces are furthest apart at a middle post: half of
 import warp as wp
 
 from terrasim.kernels.addressing import offset_in_pool
+from terrasim.kernels.rows import posts_from
 
 QUADRANT = 128
 """Posts along the side of the part of a block that one block of the level below covers."""
@@ -29,7 +30,6 @@ _BLOCK = wp.constant(256)
 _PITCH = wp.constant(256)
 # Warp counts a negative index from the array's end; it leaves that test out where none can be.
 _NO_SIGN = wp.constant(0x7FFFFFFF)
-_EVEN = wp.constant(0x7FFFFFFE)
 
 
 @wp.struct
@@ -83,44 +83,53 @@ class Extent:
 
 
 @wp.struct
-class Distance:
-    """Largest distances over a row of cells [half counts]."""
+class Distances:
+    """How far a row of cells lies from the level below [half counts]; -1 if it was not measured."""
 
-    along: wp.int64
-    """Of the middle posts of the edges along x."""
-    rest: wp.int64
-    """Of the others."""
+    cells: wp.int64
+    """Largest distance, but for the cells' upper and right edges."""
+    south: wp.int64
+    """Largest over the lower edges, if they are the block's side; else -1."""
+    west: wp.int64
+    """Distance of the first left edge, if it is the block's side; else -1."""
 
 
 @wp.func
-def sample_row(
-    pool: wp.array(dtype=int), source: int, step: int, target: int, count: int
-) -> Extent:
+def sample_row(pool: wp.array(dtype=int), source: int, target: int, count: int) -> Extent:
     """Copy every second post of a row; the ranges leave holes out."""
-    found = Extent()
     lowest = int(_MAX)
     highest = int(_HOLE)
     old_lowest = int(_MAX)
     old_highest = int(_HOLE)
-    # Loops of this form become vector instructions; a range with a variable end does not.
-    i = target & _NO_SIGN
-    end = i + count
-    p = source & _NO_SIGN
-    while i < end:
-        new = pool[p & _NO_SIGN]
-        old = pool[i & _NO_SIGN]
-        pool[i & _NO_SIGN] = new
+    below = posts_from(pool, source)
+    posts = posts_from(pool, target)
+    i = int(0)
+    while i < count:
+        new = below[i + i]
+        old = posts[i]
+        posts[i] = new
         old_highest = wp.max(old_highest, old)
         old_lowest = wp.min(old_lowest, wp.where(old == _HOLE, _MAX, old))
         highest = wp.max(highest, new)
         lowest = wp.min(lowest, wp.where(new == _HOLE, _MAX, new))
-        p += step
         i += 1
-    found.lowest = lowest
-    found.highest = highest
-    found.old_lowest = old_lowest
-    found.old_highest = old_highest
-    return found
+    return Extent(lowest, highest, old_lowest, old_highest)
+
+
+@wp.func
+def repeat_post(pool: wp.array(dtype=int), source: int, target: int, count: int) -> Extent:
+    """Copy one post to a row of posts: beyond the terrain."""
+    extent = Extent(_MAX, _HOLE, _MAX, _HOLE)
+    new = pool[source & _NO_SIGN]
+    for i in range(count):
+        place = (target + i) & _NO_SIGN
+        old = pool[place]
+        pool[place] = new
+        extent.old_highest = wp.max(extent.old_highest, old)
+        extent.old_lowest = wp.min(extent.old_lowest, wp.where(old == _HOLE, _MAX, old))
+    extent.highest = new
+    extent.lowest = wp.where(new == _HOLE, _MAX, new)
+    return extent
 
 
 @wp.func
@@ -134,44 +143,41 @@ def edge_distance(one: int, middle: int, other: int) -> wp.int64:
 
 
 @wp.func
-def plain_distances(
+def plain_distance(
     pool: wp.array(dtype=int), low: int, middle: int, high: int, count: int
-) -> Distance:
-    """Distances of cells whose posts lie side by side; ``rest`` is -1 if one is a hole."""
-    found = Distance()
-    along = wp.int64(0)
-    rest = wp.int64(0)
+) -> wp.int64:
+    """Largest distance [half counts] of cells whose posts below lie side by side.
+
+    -1 if one of those is a hole.
+    """
+    worst = wp.int64(0)
     lowest = int(0)
-    p = low & _EVEN
-    m = middle & _EVEN
-    q = high & _EVEN
-    end = p + (count << 1)
-    a = wp.int64(pool[p])
-    b = wp.int64(pool[q])
-    lowest = wp.min(pool[p], pool[q])
-    while p < end:
-        bottom = pool[p + 1]
-        side = pool[m]
-        centre = pool[m + 1]
-        p = (p + 2) & _EVEN
-        m = (m + 2) & _EVEN
-        q = (q + 2) & _EVEN
-        right = pool[p]
-        far = pool[q]
-        lowest = wp.min(wp.min(lowest, bottom), wp.min(wp.min(side, centre), wp.min(right, far)))
-        rest = wp.max(rest, wp.abs((wp.int64(side) << _ONE) - (a + b)))
-        b = wp.int64(far)
-        rest = wp.max(rest, wp.abs((wp.int64(centre) << _ONE) - (a + b)))
-        near = a
-        a = wp.int64(right)
-        along = wp.max(along, wp.abs((wp.int64(bottom) << _ONE) - (near + a)))
-    found.along = along
-    found.rest = wp.where(lowest == _HOLE, _NONE, rest)
-    return found
+    bottom_row = posts_from(pool, low)
+    middle_row = posts_from(pool, middle)
+    top_row = posts_from(pool, high)
+    i = int(0)
+    while i < count:
+        k = i + i
+        near = bottom_row[k]
+        bottom = bottom_row[k + 1]
+        right = bottom_row[k + 2]
+        side = middle_row[k]
+        centre = middle_row[k + 1]
+        above = top_row[k]
+        far = top_row[k + 2]
+        ends = wp.min(wp.min(near, above), wp.min(right, far))
+        lowest = wp.min(wp.min(lowest, ends), wp.min(bottom, wp.min(side, centre)))
+        one = wp.int64(near)
+        along = (wp.int64(bottom) << _ONE) - (one + wp.int64(right))
+        up = (wp.int64(side) << _ONE) - (one + wp.int64(above))
+        across = (wp.int64(centre) << _ONE) - (one + wp.int64(far))
+        worst = wp.max(worst, wp.max(wp.abs(along), wp.max(wp.abs(up), wp.abs(across))))
+        i += 1
+    return wp.where(lowest == _HOLE, _NONE, worst)
 
 
 @wp.func
-def distances(
+def largest_distance(
     pool: wp.array(dtype=int),
     low: int,
     middle: int,
@@ -180,65 +186,84 @@ def distances(
     count: int,
     east_low: int,
     east_high: int,
-) -> Distance:
-    """Distances of a row of cells from its lower, middle and upper row of posts below."""
-    found = Distance()
+) -> wp.int64:
+    """Largest distance [half counts] of a row of cells from its three rows of posts below."""
+    worst = wp.int64(0)
     begin = int(0)
     if step == 2:
-        found = plain_distances(pool, low, middle, high, count - 1)
-        begin = count - 1
-        if found.rest < _ZERO:
-            found = Distance()
-            begin = 0
+        worst = plain_distance(pool, low, middle, high, count - 1)
+        begin = wp.where(worst < _ZERO, 0, count - 1)
     half = step >> 1
     for c in range(begin, count):
         at = step * c
         near = pool[(low + at) & _NO_SIGN]
-        above = pool[(high + at) & _NO_SIGN]
-        right = pool[wp.where(c == count - 1, east_low, low + at + step) & _NO_SIGN]
-        far = pool[wp.where(c == count - 1, east_high, high + at + step) & _NO_SIGN]
         bottom = pool[(low + at + half) & _NO_SIGN]
         side = pool[(middle + at) & _NO_SIGN]
         centre = pool[(middle + at + half) & _NO_SIGN]
-        found.along = wp.max(found.along, edge_distance(near, bottom, right))
-        found.rest = wp.max(found.rest, edge_distance(near, side, above))
-        found.rest = wp.max(found.rest, edge_distance(near, centre, far))
+        above = pool[(high + at) & _NO_SIGN]
+        right = pool[wp.where(c == count - 1, east_low, low + at + step) & _NO_SIGN]
+        far = pool[wp.where(c == count - 1, east_high, high + at + step) & _NO_SIGN]
+        worst = wp.max(worst, edge_distance(near, bottom, right))
+        worst = wp.max(worst, edge_distance(near, side, above))
+        worst = wp.max(worst, edge_distance(near, centre, far))
+    return worst
+
+
+@wp.func
+def lower_edges(
+    pool: wp.array(dtype=int), low: int, step: int, count: int, east_low: int
+) -> wp.int64:
+    """Largest distance [half counts] over the lower edges of a row of cells."""
+    worst = wp.int64(0)
+    for c in range(count):
+        at = low + step * c
+        right = wp.where(c == count - 1, east_low, at + step)
+        bottom = pool[(at + (step >> 1)) & _NO_SIGN]
+        worst = wp.max(worst, edge_distance(pool[at & _NO_SIGN], bottom, pool[right & _NO_SIGN]))
+    return worst
+
+
+@wp.func
+def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distances:
+    """Compare one row of a piece's cells with the level below."""
+    found = Distances()
+    from_row = piece.from_row + piece.row_step * row
+    from_col = piece.from_col + piece.col_step * piece.col
+    wide = piece.col_step * piece.cols
+    low = offset_in_pool(piece.own, from_row, from_col)
+    middle = low + (piece.row_step >> 1) * _PITCH
+    high = low + piece.row_step * _PITCH
+    if row == _MASK:
+        high = offset_in_pool(piece.north, piece.north_row, from_col)
+    east_low = low + wide
+    east_high = high + wide
+    if piece.col + piece.cols > _MASK:
+        east_low = offset_in_pool(piece.east, from_row, piece.east_col)
+        east_high = offset_in_pool(piece.east, from_row + piece.row_step, piece.east_col)
+        if row == _MASK:
+            east_high = offset_in_pool(piece.corner, piece.north_row, piece.east_col)
+    found.cells = largest_distance(
+        pool, low, middle, high, piece.col_step, piece.cols, east_low, east_high
+    )
+    found.south = _NONE
+    found.west = _NONE
+    if row == 0 and piece.place < _PITCH:
+        found.south = lower_edges(pool, low, piece.col_step, piece.cols, east_low)
+    if piece.col == 0 and (piece.place & (_PITCH - 1)) == 0:
+        found.west = edge_distance(pool[low], pool[middle & _NO_SIGN], pool[high & _NO_SIGN])
     return found
 
 
 @wp.func
-def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distance:
-    """Distances of one row of a piece's cells."""
+def sample_piece_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Extent:
+    """Sample one row of a piece."""
     from_row = piece.from_row + piece.row_step * row
     from_col = piece.from_col + piece.col_step * piece.col
-    low = offset_in_pool(piece.own, from_row, from_col)
-    middle = low + (piece.row_step >> 1) * _PITCH
-    high = low + piece.row_step * _PITCH
-    end = piece.col + piece.cols
-    east_low = low + piece.col_step * piece.cols
-    east_high = high + piece.col_step * piece.cols
-    if end > _MASK:
-        east_low = offset_in_pool(piece.east, from_row, piece.east_col)
-        east_high = offset_in_pool(piece.east, from_row + piece.row_step, piece.east_col)
-    if row == _MASK:
-        high = offset_in_pool(piece.north, piece.north_row, from_col)
-        east_high = high + piece.col_step * piece.cols
-        if end > _MASK:
-            east_high = offset_in_pool(piece.corner, piece.north_row, piece.east_col)
-    return distances(pool, low, middle, high, piece.col_step, piece.cols, east_low, east_high)
-
-
-@wp.func
-def first_edge(pool: wp.array(dtype=int), piece: Piece, row: int) -> wp.int64:
-    """Distance of the middle post of a row's first edge along y."""
-    from_row = piece.from_row + piece.row_step * row
-    from_col = piece.from_col + piece.col_step * piece.col
-    low = offset_in_pool(piece.own, from_row, from_col)
-    high = offset_in_pool(piece.own, from_row + piece.row_step, from_col)
-    if row == _MASK:
-        high = offset_in_pool(piece.north, piece.north_row, from_col)
-    middle = (low + (piece.row_step >> 1) * _PITCH) & _NO_SIGN
-    return edge_distance(pool[low], pool[middle], pool[high])
+    source = offset_in_pool(piece.own, from_row, from_col)
+    target = offset_in_pool(piece.layer, 0, 0) + piece.place + row * _PITCH + piece.col
+    if piece.col_step == 0:
+        return repeat_post(pool, source, target, piece.cols)
+    return sample_row(pool, source, target, piece.cols)
 
 
 @wp.kernel(enable_backward=False)
@@ -248,45 +273,28 @@ def carry_up(
     # Pieces, QUADRANT rows each:
     pieces: wp.array(dtype=Piece),
     place: wp.array(dtype=int),
-    # Out: -lowest, highest, -lowest before, highest before [counts], then distances [half counts]:
-    # of the row's cells, of its edges on the block's southern side, of that on its western side.
-    # The largest of all rows is the piece's; nothing is the least that can be.
+    # Out: FIELDS numbers a row, of which the largest of all rows is the piece's: -lowest, highest,
+    # -lowest before, highest before [counts], and the three of ``Distances``.
     tally_out: wp.array2d(dtype=wp.int64),
 ):
     """Sample one row of a piece and measure its cells."""
     i = wp.tid() & _NO_SIGN
     piece = pieces[place[i] >> _SHIFT]
-    k = place[i] & _MASK
-    row = piece.row + k
-    extent = Extent()
-    extent.lowest = _MAX
-    extent.highest = _HOLE
-    extent.old_lowest = _MAX
-    extent.old_highest = _HOLE
-    error = wp.int64(-1)
-    south = wp.int64(-1)
-    west = wp.int64(-1)
-    if k < piece.rows:
+    row = piece.row + (place[i] & _MASK)
+    extent = Extent(_MAX, _HOLE, _MAX, _HOLE)
+    distances = Distances(_NONE, _NONE, _NONE)
+    if row < piece.row + piece.rows:
         if piece.layer >= 0:
-            from_row = piece.from_row + piece.row_step * row
-            from_col = piece.from_col + piece.col_step * piece.col
-            source = offset_in_pool(piece.own, from_row, from_col)
-            target = offset_in_pool(piece.layer, 0, 0) + piece.place + row * _PITCH + piece.col
-            extent = sample_row(pool, source, piece.col_step, target, piece.cols)
+            extent = sample_piece_row(pool, piece, row)
         if piece.measure == 1:
-            found = measure_row(pool, piece, row)
-            error = wp.max(found.along, found.rest)
-            if row == 0 and piece.place < _PITCH:
-                south = found.along
-            if piece.col == 0 and (piece.place & (_PITCH - 1)) == 0:
-                west = first_edge(pool, piece, row)
+            distances = measure_row(pool, piece, row)
     tally_out[i, 0] = -wp.int64(extent.lowest)
     tally_out[i, 1] = wp.int64(extent.highest)
     tally_out[i, 2] = -wp.int64(extent.old_lowest)
     tally_out[i, 3] = wp.int64(extent.old_highest)
-    tally_out[i, 4] = error
-    tally_out[i, 5] = south
-    tally_out[i, 6] = west
+    tally_out[i, 4] = distances.cells
+    tally_out[i, 5] = distances.south
+    tally_out[i, 6] = distances.west
 
 
 @wp.kernel(enable_backward=False)
@@ -301,14 +309,14 @@ def range_of_rows(
 ):
     i = wp.tid() & _NO_SIGN
     row = place[i] & (_BLOCK - 1)
-    p = offset_in_pool(layers[place[i] >> 8], row, 0)
-    end = p + _BLOCK
+    posts = posts_from(pool, offset_in_pool(layers[place[i] >> 8], row, 0))
     lowest = int(_MAX)
     highest = int(_HOLE)
-    while p < end:
-        count = pool[p & _NO_SIGN]
+    k = int(0)
+    while k < _BLOCK:
+        count = posts[k]
         highest = wp.max(highest, count)
         lowest = wp.min(lowest, wp.where(count == _HOLE, _MAX, count))
-        p += 1
+        k += 1
     range_out[i, 0] = -wp.int64(lowest)
     range_out[i, 1] = wp.int64(highest)
