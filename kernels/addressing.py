@@ -50,3 +50,14 @@ def offset_in_pool(layer: int, row: int, col: int) -> int:
     """Flat place in the pool of a post of a resident block; ``row`` and ``col`` of the level."""
     place = ((row & _BLOCK_MASK) << _BLOCK_SHIFT) + (col & _BLOCK_MASK)
     return ((layer << _LAYER_SHIFT) + place) & _NO_SIGN
+
+
+@wp.func
+def post_or_absent(
+    pool: wp.array(dtype=int), table: wp.array(dtype=int), level: int, row: int, col: int
+) -> wp.vec2i:
+    """A post's count and the layer that holds it, -1 where it is not resident."""
+    layer = layer_of(table, level, row >> _BLOCK_SHIFT, col >> _BLOCK_SHIFT)
+    if layer < 0:
+        return wp.vec2i(0, -1)
+    return wp.vec2i(pool[offset_in_pool(layer, row, col)], layer)

@@ -81,7 +81,7 @@ def plane_of(
         u = wp.where(body.col > col, _ONE, _ZERO)
     if body.row != row:
         v = wp.where(body.row > row, _ONE, _ZERO)
-    facet = surface_at(pool, table, lattice.levels, 0, row, col, u, v)
+    facet = surface_at(pool, table, lattice, 0, row, col, u, v)
     plane = Plane()
     plane.layer = facet.layer
     plane.state = facet.state

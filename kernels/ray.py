@@ -7,7 +7,7 @@ after at most as many steps as the terrain has rows and columns of cells.
 
 import warp as wp
 
-from terrasim.kernels.surface import Lattice
+from terrasim.kernels.lattice import Lattice
 
 _BLOCK_SHIFT = wp.constant(8)
 _LAST = wp.constant(255)

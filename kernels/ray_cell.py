@@ -8,9 +8,10 @@ through, and where two levels meet with a gap, the gap's wall is hit.
 
 import warp as wp
 
-from terrasim.kernels.addressing import layer_of, offset_in_pool
+from terrasim.kernels.addressing import layer_of, offset_in_pool, post_or_absent
+from terrasim.kernels.facet import Facet, normal_of, plane_of
+from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.ray import Ray
-from terrasim.kernels.surface import Facet, Lattice, normal_of, plane_of, post_or_absent
 
 MISSED = 16
 """The ray meets no ground within its length."""

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.ray import (
     Ray,
     cell_area,
@@ -13,7 +14,6 @@ from terrasim.kernels.ray import (
     within,
 )
 from terrasim.kernels.ray_cell import MISSED, WAITING, Corners, Hit, corners_of, search_cell
-from terrasim.kernels.surface import Lattice
 
 _COARSER = wp.constant(4)
 _MISSED = wp.constant(MISSED)

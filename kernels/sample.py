@@ -3,7 +3,9 @@
 import warp as wp
 
 from terrasim.kernels.addressing import layer_of, offset_in_pool
-from terrasim.kernels.surface import Facet, Lattice, facet_of, normal_of, surface_at
+from terrasim.kernels.facet import Facet, facet_of, normal_of
+from terrasim.kernels.lattice import Lattice
+from terrasim.kernels.surface import surface_at
 
 NOT_A_NUMBER = 8
 """A coordinate is NaN or infinite."""
@@ -41,7 +43,7 @@ def facet_at(
     facet = surface_at(
         pool,
         table,
-        lattice.levels,
+        lattice,
         level,
         row,
         col,
@@ -83,6 +85,16 @@ class LevelLattice:
     north: wp.float64
     level: int
     """The level."""
+    detail: int
+    """Where the flags of blocks with detail begin in the table; -1 if none can have any."""
+
+
+@wp.func
+def is_plain(table: wp.array(dtype=int), lattice: LevelLattice, layer: int) -> bool:
+    """Whether a block has no detail."""
+    if lattice.detail >= 0:
+        return table[lattice.detail + layer] != 1
+    return True
 
 
 # On the CPU a short kernel without rare cases runs at twice the speed of one that has them all.
@@ -99,7 +111,10 @@ def sample_inside(
     height_out: wp.array(dtype=wp.float64),
     state_out: wp.array(dtype=wp.uint8),
 ):
-    """Heights of points whose cell lies inside one resident block; the rest stay ``PENDING``."""
+    """Heights of points whose cell lies inside one resident block without detail.
+
+    The rest stay ``PENDING``.
+    """
     i = wp.tid() & _NO_SIGN
     x = (points[i][0] - lattice.x) / lattice.spacing
     y = (points[i][1] - lattice.y) / lattice.spacing
@@ -116,7 +131,7 @@ def sample_inside(
             mid = (near + wp.where(u >= v, 1, _PITCH)) & _NO_SIGN
             far = (near + _PITCH + 1) & _NO_SIGN
             facet = facet_of(pool[near], pool[mid], pool[far], lattice.level, layer, u, v)
-            if facet.state == 0:
+            if facet.state == 0 and is_plain(table, lattice, layer):
                 height_out[i] = lattice.z + facet.height * wp.float64(1.0e-5)
                 used_out[layer] = wp.uint8(1)
                 state = 0

@@ -1,18 +1,16 @@
-"""The one surface: the triangulated posts, exact in counts.
+"""The one surface: the triangulated posts, and the detail where there is any.
 
-A cell's two triangles share the diagonal from (x-, y-) to (x+, y+). Inside a cell at fractions
-``u`` along x and ``v`` along y the surface is the walk from the near post to the far one, first
-along the axis with the larger fraction (Kuhn's simplex interpolation)::
-
-    height = h00 + (mid - h00) * max(u, v) + (h11 - mid) * min(u, v)
-
-where ``mid`` is the post at (x+, y-) if ``u >= v``, else the one at (x-, y+). Differences are taken
-as 64-bit integers, so they are exact, and everything after them is float64.
+A level is resident by blocks; where it is not, the finest level above that is answers. On level 0
+the detail is added: base and detail are both linear on a detail cell's triangles, and so is their
+sum.
 """
 
 import warp as wp
 
-from terrasim.kernels.addressing import layer_of, offset_in_pool
+from terrasim.kernels.addressing import layer_of, offset_in_pool, post_or_absent
+from terrasim.kernels.detail import detail_triangle, has_detail
+from terrasim.kernels.facet import Facet, facet_of
+from terrasim.kernels.lattice import Lattice
 
 HOLE = -(2**31)
 COUNT_M = 1e-5
@@ -29,52 +27,9 @@ _HOLE = wp.constant(HOLE)
 _SHIFT = wp.constant(8)
 _LAST = wp.constant(255)
 _PITCH = wp.constant(256)
-_OFF = wp.constant(OFF_TERRAIN)
 _IN_HOLE = wp.constant(IN_HOLE)
 _COARSER = wp.constant(COARSER)
 _NO_SIGN = wp.constant(0x7FFFFFFF)
-
-
-@wp.struct
-class Lattice:
-    """Placement of a terrain's posts."""
-
-    x: wp.float64
-    """World x of column 0 [m]."""
-    y: wp.float64
-    """World y of row 0 [m]."""
-    z: wp.float64
-    """World z of count 0 [m]."""
-    spacing: wp.float64
-    """Distance between level-0 posts [m]."""
-    row: int
-    """First row of cells."""
-    col: int
-    """First column of cells."""
-    last_row: int
-    """Last row of cells."""
-    last_col: int
-    """Last column of cells."""
-    levels: int
-    """Number of levels."""
-
-
-@wp.struct
-class Facet:
-    """The triangle under a point, at the level that answered."""
-
-    height: wp.float64
-    """Height of the surface at the point [counts]; 0 in a hole."""
-    du: wp.float64
-    """Rise along x over one cell of its level [counts]."""
-    dv: wp.float64
-    """Rise along y over one cell of its level [counts]."""
-    level: int
-    """Level of the triangle."""
-    layer: int
-    """Layer that holds the cell's (x-, y-) post."""
-    state: int
-    """0, or ``IN_HOLE`` and ``COARSER`` added up."""
 
 
 @wp.func
@@ -85,61 +40,51 @@ def fraction(index: int, level: int, offset: wp.float64) -> wp.float64:
 
 
 @wp.func
-def plane_of(
-    near: int,
-    mid: int,
-    far: int,
-    right: int,
-    larger: wp.float64,
-    smaller: wp.float64,
+def with_detail(
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
+    base: Facet,
+    row: int,
+    col: int,
+    u: wp.float64,
+    v: wp.float64,
 ) -> Facet:
-    """The plane through a triangle's posts at ``larger`` along its first leg and ``smaller`` on.
+    """The facet of the detail at fractions ``u``, ``v`` of a level-0 cell, on its ``base`` facet.
 
-    ``right`` is 1 for the triangle of (x+, y-), whose first leg runs along x. Level and layer are
-    the caller's to fill in.
+    Where the detail is zero it is the base facet, to the bit.
     """
-    facet = Facet()
-    if near == _HOLE or mid == _HOLE or far == _HOLE:
-        facet.state = _IN_HOLE
-    else:
-        first = wp.float64(wp.int64(mid) - wp.int64(near))
-        second = wp.float64(wp.int64(far) - wp.int64(mid))
-        facet.height = wp.float64(near) + (first * larger + second * smaller)
-        facet.du = wp.where(right == 1, first, second)
-        facet.dv = wp.where(right == 1, second, first)
+    if base.state != 0:
+        return base
+    scale = wp.float64(lattice.factor)
+    # The last detail cell of a cell has its upper edge, as on the terrain's edge.
+    j = wp.min(int(wp.floor(u * scale)), lattice.factor - 1)
+    i = wp.min(int(wp.floor(v * scale)), lattice.factor - 1)
+    p = u * scale - wp.float64(j)
+    q = v * scale - wp.float64(i)
+    right = wp.where(p >= q, 1, 0)
+    if i == j:
+        # On the base's own diagonal its own side counts, whatever the product's rounding.
+        right = wp.where(u >= v, 1, 0)
+    detail_row = (row - lattice.row0) * lattice.factor + i
+    detail_col = (col - lattice.col0) * lattice.factor + j
+    post = detail_triangle(pool, table, lattice, detail_row, detail_col, right)
+    first = wp.float64(wp.int64(post[1]) - wp.int64(post[0]))
+    second = wp.float64(wp.int64(post[2]) - wp.int64(post[1]))
+    along = wp.where(right == 1, first, second)
+    across = wp.where(right == 1, second, first)
+    facet = base
+    facet.height += (wp.float64(post[0]) + (along * p + across * q)) / scale
+    facet.du += along
+    facet.dv += across
     return facet
-
-
-@wp.func
-def facet_of(
-    near: int, mid: int, far: int, level: int, layer: int, u: wp.float64, v: wp.float64
-) -> Facet:
-    """The triangle under a point of its cell, evaluated there."""
-    # wp.max and wp.min also look for NaN, which is refused before it comes here.
-    larger = wp.where(u >= v, u, v)
-    smaller = wp.where(u >= v, v, u)
-    facet = plane_of(near, mid, far, wp.where(u >= v, 1, 0), larger, smaller)
-    facet.level = level
-    facet.layer = layer
-    return facet
-
-
-@wp.func
-def post_or_absent(
-    pool: wp.array(dtype=int), table: wp.array(dtype=int), level: int, row: int, col: int
-) -> wp.vec2i:
-    """A post's count and the layer that holds it, -1 where it is not resident."""
-    layer = layer_of(table, level, row >> _SHIFT, col >> _SHIFT)
-    if layer < 0:
-        return wp.vec2i(0, -1)
-    return wp.vec2i(pool[offset_in_pool(layer, row, col)], layer)
 
 
 @wp.func
 def any_facet(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
-    levels: int,
+    lattice: Lattice,
     wanted: int,
     row: int,
     col: int,
@@ -153,7 +98,7 @@ def any_facet(
     facet = Facet()
     level = int(wanted)
     found = int(0)
-    while found == 0 and level < levels:
+    while found == 0 and level < lattice.levels:
         p = fraction(col, level, u)
         q = fraction(row, level, v)
         right = wp.where(p >= q, 1, 0)
@@ -165,6 +110,13 @@ def any_facet(
         if near[1] >= 0 and mid[1] >= 0 and far[1] >= 0:
             facet = facet_of(near[0], mid[0], far[0], level, near[1], p, q)
             found = 1
+            # All detail posts of the triangle lie in the blocks of its three posts.
+            if level == 0 and (
+                has_detail(table, lattice, near[1])
+                or has_detail(table, lattice, mid[1])
+                or has_detail(table, lattice, far[1])
+            ):
+                facet = with_detail(pool, table, lattice, facet, row, col, u, v)
         level += 1
     if facet.level > wanted:
         facet.state += _COARSER
@@ -175,7 +127,7 @@ def any_facet(
 def surface_at(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
-    levels: int,
+    lattice: Lattice,
     level: int,
     row: int,
     col: int,
@@ -195,15 +147,61 @@ def surface_at(
     c = col >> level
     layer = layer_of(table, level, r >> _SHIFT, c >> _SHIFT)
     if layer < 0 or (r & _LAST) == _LAST or (c & _LAST) == _LAST:
-        return any_facet(pool, table, levels, level, row, col, u, v)
+        return any_facet(pool, table, lattice, level, row, col, u, v)
     near = offset_in_pool(layer, r, c)
     mid = (near + wp.where(p >= q, 1, _PITCH)) & _NO_SIGN
     far = (near + _PITCH + 1) & _NO_SIGN
-    return facet_of(pool[near], pool[mid], pool[far], level, layer, p, q)
+    facet = facet_of(pool[near], pool[mid], pool[far], level, layer, p, q)
+    if level == 0 and has_detail(table, lattice, layer):
+        return with_detail(pool, table, lattice, facet, row, col, u, v)
+    return facet
 
 
 @wp.func
-def normal_of(facet: Facet, spacing: wp.float64) -> wp.vec3d:
-    """Upward unit normal of a facet; ``spacing`` is level 0's [m]."""
-    scale = wp.float64(1.0e-5) / (spacing * wp.float64(1 << facet.level))
-    return wp.normalize(wp.vec3d(-facet.du * scale, -facet.dv * scale, wp.float64(1.0)))
+def detail_facet(
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
+    row: int,
+    col: int,
+    i: int,
+    j: int,
+    u: wp.float64,
+    v: wp.float64,
+) -> Facet:
+    """The surface at fractions ``u``, ``v`` of a detail cell, from exact totals.
+
+    The detail cell is row ``i`` and column ``j``, 0 to ``factor - 1``, of those in level-0 cell
+    ``(row, col)``. Rises are still those over a level-0 cell [counts]: as many counts / factor as
+    over the detail cell. Where level 0 is not resident, a coarser level's facet at that point.
+    """
+    right = wp.where(u >= v, 1, 0)
+    lower = wp.where(j > i or (j == i and right == 1), 1, 0)
+    near = post_or_absent(pool, table, 0, row, col)
+    mid = post_or_absent(pool, table, 0, row + 1 - lower, col + lower)
+    far = post_or_absent(pool, table, 0, row + 1, col + 1)
+    scale = wp.float64(lattice.factor)
+    if near[1] < 0 or mid[1] < 0 or far[1] < 0:
+        x = (wp.float64(j) + u) / scale
+        y = (wp.float64(i) + v) / scale
+        return any_facet(pool, table, lattice, 0, row, col, x, y)
+    facet = Facet()
+    facet.layer = near[1]
+    if near[0] == _HOLE or mid[0] == _HOLE or far[0] == _HOLE:
+        facet.state = _IN_HOLE
+        return facet
+    detail_row = (row - lattice.row0) * lattice.factor + i
+    detail_col = (col - lattice.col0) * lattice.factor + j
+    post = detail_triangle(pool, table, lattice, detail_row, detail_col, right)
+    leg = wp.int64(mid[0]) - wp.int64(near[0])
+    other = wp.int64(far[0]) - wp.int64(mid[0])
+    x_rise = wp.where(lower == 1, leg, other)
+    y_rise = wp.where(lower == 1, other, leg)
+    start = wp.int64(near[0]) * wp.int64(lattice.factor) + wp.int64(post[0])
+    start += x_rise * wp.int64(j) + y_rise * wp.int64(i)
+    first = wp.int64(post[1]) - wp.int64(post[0])
+    second = wp.int64(post[2]) - wp.int64(post[1])
+    facet.du = wp.float64(x_rise + wp.where(right == 1, first, second))
+    facet.dv = wp.float64(y_rise + wp.where(right == 1, second, first))
+    facet.height = (wp.float64(start) + (facet.du * u + facet.dv * v)) / scale
+    return facet

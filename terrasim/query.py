@@ -231,6 +231,7 @@ def level_lattice(grid: Grid, level: int) -> Any:
     lattice.south = grid.row / scale
     lattice.north = (grid.row + grid.rows - 1) / scale
     lattice.level = level
+    lattice.detail = -1
     return lattice
 
 

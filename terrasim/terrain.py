@@ -13,7 +13,7 @@ from terrasim.cache.ground import Ground
 from terrasim.cache.pool import layers_for
 from terrasim.errors import InputError
 from terrasim.grid import Grid
-from terrasim.kernels.surface import Lattice
+from terrasim.kernels.lattice import Lattice
 from terrasim.sources.source import Source
 
 Late = Literal["wait", "fallback"]
