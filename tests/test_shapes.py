@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from shape_formulas import BEND, FORMULAS, PICTURE, WANDERING, Formula, kernel_at, lattice
 
-from terrasim.deform.stamps import Berm, Flatten, Noise, Stamp, Texture, Trench
+from terrasim.deform.shapes.footprint import turn_of
+from terrasim.deform.stamps import Berm, Flatten, Gaussian, Noise, Stamp, Texture, Trench
 
 
 def names() -> list[str]:
@@ -109,6 +110,21 @@ def test_what_is_turned_by_right_angles_is_the_same_to_the_bit(degrees: float, t
     for before, after in turned:
         dx, dy = lattice(before)
         np.testing.assert_array_equal(kernel_at(after, *turn(dx, dy)), kernel_at(before, dx, dy))
+
+
+def test_a_turn_is_its_cosine_and_sine() -> None:
+    for degrees in (0.0, 30.0, 100.0, 134.9, 170.0, 200.0, 300.0, -20.0, -100.0, 1e4, -1e4):
+        expected = (np.cos(np.radians(degrees)), np.sin(np.radians(degrees)))
+        assert turn_of(degrees) == pytest.approx(expected, abs=2e-14)
+    assert [turn_of(90.0 * i) for i in range(4)] == [(1, 0), (0, 1), (-1, 0), (0, -1)]
+
+
+def test_an_added_gaussian_ends_where_rounding_ends_it() -> None:
+    """At half a count; on the detail grid at half of the finest there may be."""
+    for detail, count in ((False, 1e-5), (True, 1e-5 / 1024)):
+        stamp = Gaussian(0.0, 0.0, 0.7, 2.0, detail=detail)
+        assert 0.7 * np.exp(-(stamp.cut**2) / 8.0) == pytest.approx(count / 2, rel=1e-9)
+    assert Gaussian(0.0, 0.0, 4e-6, 2.0).extent == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_polyline_is_the_same_from_either_end() -> None:
