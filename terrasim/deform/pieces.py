@@ -50,25 +50,12 @@ class Piece(NamedTuple):
 def pieces_of(grid: Grid, level: int, regions: Regions) -> list[Piece]:
     """Pieces of a level in the order of their blocks."""
     span = grid.blocks(level - 1)
-    found = []
-    for (row, col), region in sorted(regions.items()):
-        rows = _source(row, span.row0, span.row1, region.row1)
-        cols = _source(col, span.col0, span.col1, region.col1)
-        block = Block(level, row >> 1, col >> 1)
-        below = tuple(
-            Block(level - 1, r, c) for r in (rows.own, rows.next) for c in (cols.own, cols.next)
-        )
-        own, east, north, corner = below
-        found.append(
-            Piece(
-                block,
-                (own, east, north, corner),
-                _place(row, col, region, rows, cols),
-                region.rise,
-                region.fall,
-            )
-        )
-    return found
+    rows = {row: _source(row, span.row0, span.row1) for row, _ in regions}
+    cols = {col: _source(col, span.col0, span.col1) for _, col in regions}
+    return [
+        _piece(level, row, col, region, rows[row], cols[col])
+        for (row, col), region in sorted(regions.items())
+    ]
 
 
 def groups(pieces: list[Piece], capacity: int, top: int) -> Iterator[list[Piece]]:
@@ -118,23 +105,30 @@ class _Source(NamedTuple):
     """Its row there."""
 
 
-def _source(quadrant: int, begin: int, end: int, last: int) -> _Source:
+def _source(quadrant: int, begin: int, end: int) -> _Source:
     """Beyond the terrain all rows repeat the outermost one."""
     own = min(max(quadrant, begin), end - 1)
-    step = 2 if own == quadrant else 0
-    first = BLOCK - 1 if quadrant >= end else 0
-    if last % QUADRANT != QUADRANT - 1:
-        return _Source(own, first, step, own, 0)
     after = min(max(quadrant + 1, begin), end - 1)
-    return _Source(own, first, step, after, 0 if quadrant + 1 < end else BLOCK - 1)
+    first = BLOCK - 1 if quadrant >= end else 0
+    next_first = BLOCK - 1 if quadrant + 1 >= end else 0
+    return _Source(own, first, 2 if own == quadrant else 0, after, next_first)
 
 
-def _place(row: int, col: int, region: Region, rows: _Source, cols: _Source) -> tuple[int, ...]:
-    return (
-        region.row0 - row * QUADRANT,
-        region.row1 - region.row0 + 1,
-        region.col0 - col * QUADRANT,
-        region.col1 - region.col0 + 1,
+def _piece(level: int, row: int, col: int, region: Region, rows: _Source, cols: _Source) -> Piece:
+    row0, row1, col0, col1, rise, fall = region
+    own = north = east = corner = Block(level - 1, rows.own, cols.own)
+    # The last cells of a quadrant end on posts of the next block below.
+    if col1 % QUADRANT == QUADRANT - 1:
+        east = corner = Block(level - 1, rows.own, cols.next)
+    if row1 % QUADRANT == QUADRANT - 1:
+        north = corner = Block(level - 1, rows.next, cols.own)
+        if east is not own:
+            corner = Block(level - 1, rows.next, cols.next)
+    place = (
+        row0 - row * QUADRANT,
+        row1 - row0 + 1,
+        col0 - col * QUADRANT,
+        col1 - col0 + 1,
         ((row & 1) * BLOCK + (col & 1)) * QUADRANT,
         rows.step,
         cols.step,
@@ -143,3 +137,4 @@ def _place(row: int, col: int, region: Region, rows: _Source, cols: _Source) -> 
         rows.next_first,
         cols.next_first,
     )
+    return Piece(Block(level, row >> 1, col >> 1), (own, east, north, corner), place, rise, fall)

@@ -8,7 +8,7 @@ pool at once, so any pool will do, and the results are the same for all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -25,6 +25,8 @@ from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
 __all__ = ["Touched", "propagate"]
+
+_RECORD = blank(kernels.Piece, 1).dtype
 
 
 def propagate(terrain: Terrain, touched: Sequence[Touched]) -> None:
@@ -60,41 +62,33 @@ def propagate(terrain: Terrain, touched: Sequence[Touched]) -> None:
         _note_errors(terrain, found)
 
 
-class _Bound(NamedTuple):
-    """What becomes of a block's error bound [counts]."""
-
-    rise: int = 0
-    fall: int = 0
-    distance: int = 0
-    """From the level below [half counts]."""
-    below: int = 0
-    """Largest bound of the blocks below."""
-
-
 class _Found:
     """What the pieces of a level found out, whichever launch they were in."""
 
     def __init__(self) -> None:
-        self.bounds: dict[Block, _Bound] = {}
+        self.bounds: dict[Block, tuple[int, int, int, int]] = {}
+        """For each block the most its surface rose and fell, the largest bound of those below
+        [counts], and the distance from these [half counts]."""
         self.edges: dict[Block, int] = {}
-        """Distances [half counts] on the northern and eastern side of a block."""
+        """Distances [half counts] on the northern and eastern sides of blocks."""
 
     def note(self, piece: Piece, below: int, distance: int, south: int, west: int) -> None:
         """Take in what a piece found of its block and of the neighbours that share an edge."""
         key = piece.block
-        old = self.bounds.get(key, _Bound())
-        self.bounds[key] = _Bound(
-            max(old.rise, piece.rise),
-            max(old.fall, piece.fall),
-            max(old.distance, distance),
-            max(old.below, below),
+        rise, fall, least, nearest = self.bounds.get(key, (0, 0, 0, 0))
+        self.bounds[key] = (
+            max(rise, piece.rise),
+            max(fall, piece.fall),
+            max(least, below),
+            max(nearest, distance),
         )
-        for other, edge in (
-            (Block(key.level, key.row - 1, key.col), south),
-            (Block(key.level, key.row, key.col - 1), west),
-        ):
-            if edge > 0:
-                self.edges[other] = max(self.edges.get(other, 0), edge)
+        if south > 0:
+            self._note_edge(Block(key.level, key.row - 1, key.col), south)
+        if west > 0:
+            self._note_edge(Block(key.level, key.row, key.col - 1), west)
+
+    def _note_edge(self, key: Block, distance: int) -> None:
+        self.edges[key] = max(self.edges.get(key, 0), distance)
 
 
 class _Scratch:
@@ -103,17 +97,19 @@ class _Scratch:
     def __init__(self, terrain: Terrain, pieces: int) -> None:
         self._terrain = terrain
         self._size = pieces
-        device = terrain.device
-        self.host = blank(kernels.Piece, pieces)
-        self._pieces: Any = wp.array(
-            self.host, dtype=kernels.Piece, device=device, copy=device.is_cuda
+        device, rows = terrain.device, pieces * kernels.QUADRANT
+        self.host = np.zeros(pieces, dtype=_RECORD)
+        # By its address: Warp takes long to find out that the types agree.
+        start, size = self.host.ctypes.data, self.host.nbytes
+        here: Any = wp.array(
+            ptr=start, capacity=size, shape=pieces, dtype=kernels.Piece, device="cpu"
         )
+        self._here = here
+        self._there: Any = wp.empty_like(here, device=device) if device.is_cuda else here
         # Where a row stands, whichever part of a launch it falls into.
-        self.place: Any = wp.array(
-            np.arange(pieces * kernels.QUADRANT, dtype=np.int32), device=device
-        )
-        shape = (pieces * kernels.QUADRANT, kernels.FIELDS)
-        self.tally: Any = wp.empty(shape, dtype=wp.int64, device=device)
+        place = np.arange(rows, dtype=np.int32)
+        self.place: Any = wp.array(place, dtype=wp.int32, device=device, copy=False)
+        self.tally: Any = wp.empty((rows, kernels.FIELDS), dtype=wp.int64, device=device)
 
     def for_pieces(self, pieces: int) -> _Scratch:
         """Scratch for at least as many pieces."""
@@ -122,9 +118,9 @@ class _Scratch:
     @property
     def pieces(self) -> Any:
         """The pieces that stand in ``host``, on the device."""
-        if self._pieces.device.is_cuda:
-            self._pieces.assign(self.host)
-        return self._pieces
+        if self._there is not self._here:
+            wp.copy(self._there, self._here)
+        return self._there
 
 
 def _carry(terrain: Terrain, scratch: _Scratch, group: list[Piece], found: _Found) -> None:
@@ -193,11 +189,11 @@ def _look_again(terrain: Terrain, keys: list[Block]) -> None:
 def _note_errors(terrain: Terrain, found: _Found) -> None:
     """Tell the cache the blocks' new error bounds."""
     cache = terrain.cache
-    for key, bound in found.bounds.items():
+    for key, (rise, fall, below, distance) in found.bounds.items():
         if not cache.is_resident(key):
             cache.hold([key])
         lowest, highest, old = cache.describe(key)
-        distance = max(bound.distance, found.edges.get(key, 0))
-        measured = max(old, (distance + 1) // 2 + bound.below)
-        error = min(old + bound.rise + bound.fall, measured, MAX_COUNT)
+        furthest = max(distance, found.edges.get(key, 0))
+        measured = max(old, (furthest + 1) // 2 + below)
+        error = min(old + rise + fall, measured, MAX_COUNT)
         cache.edited(key, lowest, highest, error)

@@ -10,6 +10,8 @@ from terrasim.grid import Grid
 from terrasim.kernels.addressing import BLOCK
 from terrasim.kernels.propagate import QUADRANT
 
+_SHIFT = QUADRANT.bit_length() - 1
+
 
 class Region(NamedTuple):
     """A rectangle of a level's cells over which the surface may have changed."""
@@ -37,27 +39,18 @@ def first_regions(grid: Grid, touched: Iterable[Touched]) -> Regions:
     """Regions of level 1."""
     add = _Adder(grid, 1)
     for one in touched:
-        # A post belongs to the cells on both its sides.
-        rows, cols = (one.row0 - 1, one.row1), (one.col0 - 1, one.col1)
         # A level's post is base and detail rounded: it may move by one count more.
-        more = int(one.key.level < 0)
-        add(
-            Region(
-                rows[0] >> 1, rows[1] >> 1, cols[0] >> 1, cols[1] >> 1, one.rise + more, one.fall
-            )
-        )
+        rise = one.rise + (one.key.level < 0)
+        # A post belongs to the cells on both its sides.
+        add((one.row0 - 1) >> 1, one.row1 >> 1, (one.col0 - 1) >> 1, one.col1 >> 1, rise, one.fall)
     return add.regions
 
 
 def next_regions(grid: Grid, level: int, below: Regions) -> Regions:
     """Regions of a level from those of the level below."""
     add = _Adder(grid, level)
-    for one in below.values():
-        add(
-            one._replace(
-                row0=one.row0 >> 1, row1=one.row1 >> 1, col0=one.col0 >> 1, col1=one.col1 >> 1
-            )
-        )
+    for row0, row1, col0, col1, rise, fall in below.values():
+        add(row0 >> 1, row1 >> 1, col0 >> 1, col1 >> 1, rise, fall)
     return add.regions
 
 
@@ -70,15 +63,15 @@ class _Adder:
         self._rows = _Axis.of(grid.row, grid.rows, level, span.row0, span.row1)
         self._cols = _Axis.of(grid.col, grid.cols, level, span.col0, span.col1)
 
-    def __call__(self, one: Region) -> None:
-        row0, row1 = self._rows.widened(one.row0, one.row1)
-        col0, col1 = self._cols.widened(one.col0, one.col1)
-        for row in range(row0 // QUADRANT, row1 // QUADRANT + 1):
-            low, high = max(row0, row * QUADRANT), min(row1, row * QUADRANT + QUADRANT - 1)
-            for col in range(col0 // QUADRANT, col1 // QUADRANT + 1):
-                left, right = max(col0, col * QUADRANT), min(col1, col * QUADRANT + QUADRANT - 1)
+    def __call__(self, row0: int, row1: int, col0: int, col1: int, rise: int, fall: int) -> None:
+        row0, row1 = self._rows.widened(row0, row1)
+        col0, col1 = self._cols.widened(col0, col1)
+        for row in range(row0 >> _SHIFT, (row1 >> _SHIFT) + 1):
+            low, high = max(row0, row << _SHIFT), min(row1, (row << _SHIFT) + QUADRANT - 1)
+            for col in range(col0 >> _SHIFT, (col1 >> _SHIFT) + 1):
+                left, right = max(col0, col << _SHIFT), min(col1, (col << _SHIFT) + QUADRANT - 1)
+                part = Region(low, high, left, right, rise, fall)
                 old = self.regions.get((row, col))
-                part = Region(low, high, left, right, one.rise, one.fall)
                 self.regions[row, col] = part if old is None else _joined(old, part)
 
 
@@ -101,9 +94,10 @@ class _Axis(NamedTuple):
 
     def widened(self, first: int, last: int) -> tuple[int, int]:
         """A range of cells; one that meets the terrain's edge goes on to its blocks' end."""
-        low = self.low if first <= self.first else max(first, self.low)
-        high = self.high if last >= self.last else min(last, self.high)
-        return low, high
+        if self.first < first and last < self.last:
+            return first, last
+        low = self.low if first <= self.first else first
+        return low, self.high if last >= self.last else last
 
 
 def _joined(one: Region, other: Region) -> Region:
