@@ -5,7 +5,9 @@ Gaussians and craters that are added take the same path as in ``kernels/stamps.p
 
 import warp as wp
 
-from terrasim.kernels.addressing import offset_in_pool
+from terrasim.kernels.addressing import offset_in_pool, post_or_absent
+from terrasim.kernels.detail import NO_GROUND, total_between
+from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.shapes import CRATER, shape_at
 from terrasim.kernels.stamps import (
     ADD,
@@ -36,6 +38,8 @@ _BLOCK = wp.constant(256)
 _MASK = wp.constant(255)
 _SHIFT = wp.constant(8)
 _NO_SIGN = wp.constant(0x7FFFFFFF)
+_NOT_A_NUMBER = wp.constant(wp.float64(float("nan")))
+_NO_GROUND = wp.constant(wp.int64(NO_GROUND))
 
 
 @wp.func
@@ -55,12 +59,54 @@ def wanted_height(
 
 
 @wp.func
+def begin_detail_row(
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
+    work: BlockStamps,
+    row: int,
+    last: int,
+    value: wp.array(dtype=wp.float64),
+    ground: wp.array(dtype=wp.float64),
+):
+    """Take up posts 0 to ``last`` of a row of detail, and the base's surface at each."""
+    start = offset_in_pool(work.layer, row, 0)
+    first_col = work.col << _SHIFT
+    detail_row = (work.row << _SHIFT) + row
+    cell_row = detail_row / lattice.factor
+    i = detail_row - cell_row * lattice.factor
+    low = lattice.row0 + cell_row
+    # Beyond the terrain's last posts there may be no block; what is read instead weighs nothing.
+    high = wp.min(low + 1, lattice.last_row + 1)
+    c = int(0)
+    while c <= last:
+        cell_col = (first_col + c) / lattice.factor
+        j = first_col + c - cell_col * lattice.factor
+        left = lattice.col0 + cell_col
+        right = wp.min(left + 1, lattice.last_col + 1)
+        near = post_or_absent(pool, table, 0, low, left)[0]
+        east = post_or_absent(pool, table, 0, low, right)[0]
+        north = post_or_absent(pool, table, 0, high, left)[0]
+        far = post_or_absent(pool, table, 0, high, right)[0]
+        end = wp.min(last, c + lattice.factor - 1 - j)
+        while c <= end:
+            mid = wp.where(j >= i, east, north)
+            total = total_between(lattice.factor, near, mid, far, wp.max(i, j), wp.min(i, j))
+            old = wp.float64(pool[(start + c) & _NO_SIGN])
+            value[c & _MASK] = wp.where(total == _NO_GROUND, _NOT_A_NUMBER, old)
+            ground[c & _MASK] = wp.where(total == _NO_GROUND, wp.float64(0.0), wp.float64(total))
+            j += 1
+            c += 1
+
+
+@wp.func
 def stamp_row(
     posts: Posts,
     stamp: Stamp,
     data: wp.array(dtype=wp.float64),
     post_row: int,
     first_col: int,
+    ground: wp.array(dtype=wp.float64),
     value: wp.array(dtype=wp.float64),
     met: wp.array(dtype=int),
 ) -> wp.vec2l:
@@ -77,7 +123,8 @@ def stamp_row(
         )
         if found[1] > wp.float64(0.0):
             rise = wp.rint(found[0] * posts.unit)
-            surface = wp.rint(stamp.base + found[0] * posts.unit)
+            # Detail is kept as the difference to the base's surface, and so is the stamp's own.
+            surface = wp.rint(stamp.base + found[0] * posts.unit) - ground[c & _MASK]
             old = value[c & _MASK]
             wanted = wanted_height(stamp.mode, old, found[1], rise, surface)
             new = within(wanted)
@@ -93,6 +140,8 @@ def stamp_row(
 @wp.func
 def stamp_in_order(
     pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
     posts: Posts,
     stamps: wp.array(dtype=Stamp),
     across: wp.array(dtype=wp.float64),
@@ -108,7 +157,12 @@ def stamp_in_order(
     value = wp.zeros(shape=(_BLOCK,), dtype=wp.float64)
     met = wp.zeros(shape=(_BLOCK,), dtype=int)
     first_col = work.col << _SHIFT
-    begin_row(pool, offset_in_pool(work.layer, row, 0), value)
+    ground = wp.zeros(shape=(_BLOCK,), dtype=wp.float64)
+    if posts.detail == 1:
+        last = wp.min(_MASK, posts.last_col - first_col)
+        begin_detail_row(pool, table, lattice, work, row, last, value, ground)
+    else:
+        begin_row(pool, offset_in_pool(work.layer, row, 0), value)
     # Rows beyond the terrain's edge repeat it and are not counted.
     shared = share_out.shape[0] > 0 and post_row == (work.row << _SHIFT) + row
     k = int(begin)
@@ -119,7 +173,7 @@ def stamp_in_order(
         if stamp.mode == _ADD and stamp.kind <= _CRATER:
             share = add_parts(posts, stamp, across, post_row, first_col, value, met)
         else:
-            share = stamp_row(posts, stamp, data, post_row, first_col, value, met)
+            share = stamp_row(posts, stamp, data, post_row, first_col, ground, value, met)
         if shared:
             share_out[one[3] + (post_row - one[1])] = share
         k = next_stamp(listed, k + 1, work.end, post_row)
@@ -130,6 +184,8 @@ def stamp_in_order(
 def apply_stamps(
     # Terrain:
     pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
     posts: Posts,
     # Stamps:
     stamps: wp.array(dtype=Stamp),
@@ -149,9 +205,24 @@ def apply_stamps(
     row = place[i] & _MASK
     post_row = wp.clamp((work.row << _SHIFT) + row, posts.row, posts.last_row)
     begin = next_stamp(listed, work.begin, work.end, post_row)
+    if posts.detail == 1 and post_row != (work.row << _SHIFT) + row:
+        # There is no detail beyond the terrain.
+        begin = work.end
     if begin == work.end:
         tally_out[i] = range_of_row(pool, offset_in_pool(work.layer, row, 0))
     else:
         tally_out[i] = stamp_in_order(
-            pool, posts, stamps, across, data, listed, work, row, post_row, begin, share_out
+            pool,
+            table,
+            lattice,
+            posts,
+            stamps,
+            across,
+            data,
+            listed,
+            work,
+            row,
+            post_row,
+            begin,
+            share_out,
         )

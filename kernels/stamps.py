@@ -31,8 +31,10 @@ _NO_SIGN = wp.constant(0x7FFFFFFF)
 
 @wp.struct
 class Posts:
-    """The posts that stamps change: those of level 0."""
+    """The posts that stamps change: those of level 0, or those of the detail grid."""
 
+    detail: int
+    """Whether they are the detail grid's."""
     row: int
     """First row of posts of the terrain."""
     last_row: int
@@ -357,9 +359,8 @@ def close_row(
     first = wp.max(0, left)
     last = wp.min(_MASK, right)
     tally = end_row(pool, start, first, last, value, met)
-    repeat_edges(pool, start, first, last)
-    tally.first = wp.where(tally.first == left, 0, tally.first)
-    tally.last = wp.where(tally.last == right, _MASK, tally.last)
+    if posts.detail == 0:
+        repeat_edges(pool, start, first, last)
     post_row = (work.row << _SHIFT) + row
     if post_row < posts.row or post_row > posts.last_row:
         tally.added = wp.int64(0)

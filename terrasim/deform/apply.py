@@ -172,7 +172,8 @@ def _bring_all(terrain: Terrain, runs: list[Run]) -> None:
             return
         for key in run.found.blocks():
             wanted[key] = None
-            for level in range(1, terrain.grid.levels):
+            # The coarsest level is always there.
+            for level in range(1, terrain.grid.top):
                 wanted[Block(level, key.row >> level, key.col >> level)] = None
     if len(wanted) <= terrain.cache.capacity:
         terrain.cache.hold(wanted)

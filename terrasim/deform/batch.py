@@ -37,7 +37,7 @@ class Batch:
         """
         self._terrain = terrain
         self._posts = target.posts(undo=undo)
-        self._plain = placed.in_parts and not by_stamp
+        self._plain = placed.in_parts and not by_stamp and target.level == 0
         self._stamps = self._sent(placed.records, stamps.Stamp)
         self._across = self._parts_of_x(placed)
         data = np.concatenate(placed.data) if placed.data and not self._plain else np.empty(0)
@@ -74,7 +74,11 @@ class Batch:
             share: Any = wp.zeros(
                 group.rows if self.shares is not None else 0, dtype=wp.vec2l, device=device
             )
-            shared = [*shared, self._data, blocks, listed, share]
+            shared = [
+                *(terrain.pool, terrain.resident, terrain.lattice),
+                *shared[1:],
+                *(self._data, blocks, listed, share),
+            ]
         launch(
             kernel,
             rows,

@@ -73,6 +73,7 @@ class Target:
     def posts(self, *, undo: bool) -> Any:
         """The same as kernels take it; ``undo`` turns what is added around."""
         posts: Any = Posts()
+        posts.detail = int(self.level < 0)
         posts.row, posts.last_row = self.row, self.last_row
         posts.col, posts.last_col = self.col, self.last_col
         posts.spacing = self.spacing
