@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-from terrasim.counts import HOLE, MAX_COUNT, Counts
+from terrasim.counts import MAX_COUNT, Counts
 from terrasim.deform.ledger import Ledger
+from terrasim.deform.placing import blank
 from terrasim.deform.propagate import Touched, propagate
+from terrasim.deform.tallies import ledger_of, note_base
+from terrasim.deform.target import Target, target_of
 from terrasim.errors import InputError
-from terrasim.grid import Block, Indices
+from terrasim.grid import Block
+from terrasim.kernels import patch as kernels
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
-from terrasim.sources.source import describe
+from terrasim.kernels.stamps import RowTally
+from terrasim.launch import launch
 from terrasim.terrain import Terrain
+
+GROUP = 256
+"""Most blocks changed in one launch."""
 
 
 @dataclass(frozen=True)
 class Patch:
-    """What is added to each post of a rectangle."""
+    """What is added to each post of a rectangle. Its negative undoes it, if nothing was clamped."""
 
     row: int
     """First row: of level-0 posts, or of detail posts if ``detail``."""
@@ -36,98 +46,94 @@ class Patch:
         if counts.dtype != np.int32:
             raise InputError(f"a patch's counts must be int32, got {counts.dtype}")
         if counts.ndim != 2 or counts.size == 0:
-            raise InputError(f"a patch's counts must be 2-D and not empty, got {counts.shape}")
+            raise InputError(
+                f"a patch's counts must be 2-D and not empty, got shape {counts.shape}"
+            )
+        if counts.min() < -MAX_COUNT:
+            raise InputError(
+                f"a patch's counts must lie within +-{MAX_COUNT}, got {counts.min()}: "
+                "the smallest int32 has no negative"
+            )
 
 
 def check_patch(terrain: Terrain, patch: Patch) -> None:
-    """Refuse a patch that does not lie on the terrain.
+    """Refuse a patch that does not lie on the terrain, before anything is allocated or changed.
 
     Raises:
         InputError: If it does not, or is for a detail grid that the terrain has not.
     """
-    if patch.detail:
-        raise InputError("this terrain has no detail grid; open it with a detail factor")
-    grid = terrain.grid
-    for name, first, size, low, count in (
-        ("rows", patch.row, patch.counts.shape[0], grid.row, grid.rows),
-        ("columns", patch.col, patch.counts.shape[1], grid.col, grid.cols),
-    ):
-        if first < low or first + size > low + count:
-            raise InputError(
-                f"a patch must lie on the terrain, {name} {low} to {low + count - 1}, "
-                f"got {first} to {first + size - 1}"
-            )
+    _target(terrain, patch)
 
 
 def apply_patch(terrain: Terrain, patch: Patch) -> Ledger:
-    """Add a patch to the ground, at every level.
+    """Add a patch to the ground and carry the change up through the levels.
 
     Args:
         terrain: The terrain.
-        patch: What to add.
+        patch: What to add. Holes stay holes, and a height stops at the end of the range; both are
+            counted.
 
     Returns:
-        What happened to the posts of level 0.
+        What happened to the posts.
 
     Raises:
         InputError: If the patch does not lie on the terrain.
         RunError: If a block cannot be read or written.
     """
-    check_patch(terrain, patch)
-    grid = terrain.grid
+    target = _target(terrain, patch)
     rows, cols = patch.counts.shape
+    keys = [
+        Block(target.level, row, col)
+        for row in range(patch.row >> BLOCK_SHIFT, ((patch.row + rows - 1) >> BLOCK_SHIFT) + 1)
+        for col in range(patch.col >> BLOCK_SHIFT, ((patch.col + cols - 1) >> BLOCK_SHIFT) + 1)
+    ]
+    counts: Any = wp.array(
+        np.ascontiguousarray(patch.counts), dtype=wp.int32, device=terrain.device, copy=False
+    )
+    most = GROUP
+    if target.level < terrain.grid.top:
+        most = max(1, min(most, terrain.cache.capacity))
     ledger = Ledger()
-    touched = []
-    for row in range(patch.row >> BLOCK_SHIFT, ((patch.row + rows - 1) >> BLOCK_SHIFT) + 1):
-        for col in range(patch.col >> BLOCK_SHIFT, ((patch.col + cols - 1) >> BLOCK_SHIFT) + 1):
-            key = Block(0, row, col)
-            [layer] = terrain.cache.hold([key])
-            posts = terrain.cache.pool.read(layer)
-            at_row, in_row = _along(row, grid.row, grid.rows, patch.row, rows)
-            at_col, in_col = _along(col, grid.col, grid.cols, patch.col, cols)
-            inside = np.ix_(at_row, at_col)
-            old = posts[inside].astype(np.int64)
-            step = patch.counts[np.ix_(in_row, in_col)].astype(np.int64)
-            wanted = old + step
-            new = np.where(old == HOLE, HOLE, np.clip(wanted, -MAX_COUNT, MAX_COUNT))
-            posts[inside] = new
-            data = describe(posts, 0)
-            terrain.cache.pool.write(layer, posts, 0)
-            terrain.cache.edited(key, data.lowest, data.highest, 0)
-            first_row, first_col = row * BLOCK, col * BLOCK
-            real_row = (at_row + first_row >= grid.row) & (
-                at_row + first_row < grid.row + grid.rows
-            )
-            real_col = (at_col + first_col >= grid.col) & (
-                at_col + first_col < grid.col + grid.cols
-            )
-            real = real_row[:, None] & real_col
-            change = new - old
-            ledger += Ledger(
-                int(-change[real & (change < 0)].sum()),
-                int(change[real & (change > 0)].sum()),
-                int(np.count_nonzero(change[real])),
-                int(np.count_nonzero(real & (new != wanted) & (old != HOLE))),
-                int(np.count_nonzero(real & (old == HOLE) & (step != 0))),
-            )
-            touched.append(
-                Touched(
-                    key,
-                    patch.row + int(in_row.min()),
-                    patch.row + int(in_row.max()),
-                    patch.col + int(in_col.min()),
-                    patch.col + int(in_col.max()),
-                    max(int(change.max()), 0),
-                    max(-int(change.min()), 0),
-                )
-            )
+    touched: list[Touched] = []
+    for first in range(0, len(keys), most):
+        group = keys[first : first + most]
+        tally = _add(terrain, target, patch, counts, group)
+        ledger += ledger_of(tally, target.unit)
+        touched += note_base(terrain, group, tally, target)
     propagate(terrain, touched)
     return ledger
 
 
-def _along(block: int, low: int, count: int, first: int, size: int) -> tuple[Indices, Indices]:
-    """Posts of a block that a patch changes along one axis, and what of the patch they take."""
-    at = np.arange(BLOCK, dtype=np.int64)
-    inside = np.clip(at + block * BLOCK, low, low + count - 1) - first
-    met = (inside >= 0) & (inside < size)
-    return at[met], inside[met]
+def _target(terrain: Terrain, patch: Patch) -> Target:
+    """The posts that a patch changes."""
+    target = target_of(terrain, detail=patch.detail)
+    for name, first, size, low, high in (
+        ("rows", patch.row, patch.counts.shape[0], target.row, target.last_row),
+        ("columns", patch.col, patch.counts.shape[1], target.col, target.last_col),
+    ):
+        if first < low or first + size - 1 > high:
+            raise InputError(
+                f"a patch must lie on the terrain, {name} {low} to {high}, "
+                f"got {first} to {first + size - 1}"
+            )
+    return target
+
+
+def _add(terrain: Terrain, target: Target, patch: Patch, counts: Any, keys: list[Block]) -> Any:
+    """Change a group of blocks; ``kernels.stamps.RowTally``, shape ``(blocks, BLOCK)``."""
+    device, rows = terrain.device, len(keys) * BLOCK
+    work = blank(kernels.PatchBlock, len(keys))
+    work["layer"] = terrain.cache.hold(keys)
+    work["row"], work["col"] = [key.row for key in keys], [key.col for key in keys]
+    blocks: Any = wp.array(work, dtype=kernels.PatchBlock, device=device, copy=False)
+    place: Any = wp.array(np.arange(rows, dtype=np.int32), device=device, copy=False)
+    tally: Any = wp.empty(rows, dtype=RowTally, device=device)
+    launch(
+        kernels.add_patch,
+        rows,
+        shared=[terrain.pool, target.posts(undo=False), patch.row, patch.col, counts, blocks],
+        items=[place, tally],
+        device=device,
+        threads=terrain.threads,
+    )
+    return tally.numpy().reshape(len(keys), BLOCK)
