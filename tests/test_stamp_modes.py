@@ -167,7 +167,7 @@ def test_each_stamp_has_its_own_account() -> None:
     with Terrain(ArraySource(rough(GRID), GRID)) as terrain:
         alone = [apply_stamps(terrain, [stamp]) for stamp in stamps]
         wanted = heights(terrain)
-    with Terrain(ArraySource(rough(GRID), GRID), pool_bytes=SMALL_POOL) as terrain:
+    with Terrain(ArraySource(rough(GRID), GRID), pool_bytes=SMALL_POOL, threads=3) as terrain:
         ledger = apply_stamps(terrain, stamps, by_stamp=True)
         np.testing.assert_array_equal(heights(terrain), wanted)
     assert isinstance(ledger, LedgerByStamp)

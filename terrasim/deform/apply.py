@@ -141,7 +141,7 @@ def _prepare(
     """Find the posts and blocks that stamps touch."""
     runs = []
     for target, placed in _place_all(terrain, stamps, anchor, undo=undo):
-        found = touch(placed.records, target.level, target.blocks)
+        found = touch(placed.records, target.level, target.blocks, target.factor)
         busiest = int(np.diff(found.begin).max(initial=0))
         if by_stamp and busiest > MAX_OF_A_BLOCK:
             raise InputError(

@@ -56,13 +56,15 @@ class Touch:
         return [Block(self.level, row, col) for row, col in zip(rows, cols, strict=True)]
 
 
-def touch(records: Records, level: int, span: Span) -> Touch:
+def touch(records: Records, level: int, span: Span, factor: int = 1) -> Touch:
     """Find the blocks that stamps touch.
 
     Args:
         records: Stamps, ``kernels.stamps.Stamp``, shape ``(count,)``.
         level: Level that the stamps' posts are of.
         span: The blocks there are.
+        factor: Blocks along a side of the squares that shall stay together: those of detail that
+            lie in one block of level 0.
     """
     row0, row1, col0, col1 = (
         records[name].astype(np.int64) >> BLOCK_SHIFT for name in ("row0", "row1", "col0", "col1")
@@ -73,18 +75,15 @@ def touch(records: Records, level: int, span: Span) -> Touch:
     within = np.arange(len(stamp)) - np.repeat(np.cumsum(count) - count, count)
     row = row0[stamp] + within // wide[stamp]
     col = col0[stamp] + within % wide[stamp]
-    across = span.col1 - span.col0
-    code = (row - span.row0) * across + (col - span.col0)
+    square_row, in_row = np.divmod(row - span.row0 // factor * factor, factor)
+    square_col, in_col = np.divmod(col - span.col0 // factor * factor, factor)
+    squares = (span.col1 - 1) // factor - span.col0 // factor + 1
+    code = ((square_row * squares + square_col) * factor + in_row) * factor + in_col
     # Stable: the stamps of a block stay in order.
     order = np.argsort(code, kind="stable")
-    blocks, begin = np.unique(code[order], return_index=True)
-    return Touch(
-        level,
-        blocks // across + span.row0,
-        blocks % across + span.col0,
-        np.append(begin, len(order)),
-        stamp[order],
-    )
+    _, begin = np.unique(code[order], return_index=True)
+    first = order[begin]
+    return Touch(level, row[first], col[first], np.append(begin, len(order)), stamp[order])
 
 
 def groups(found: Touch, records: Records, most: int) -> Iterator[Group]:

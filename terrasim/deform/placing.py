@@ -24,8 +24,8 @@ Records = npt.NDArray[Any]
 
 MAX_COLUMNS = 2**27
 """Columns of posts of all stamps of a call: 8 bytes each."""
-MAX_BLOCKS = 2**24
-"""Blocks that all stamps of a call touch, each stamp's counted for itself."""
+MAX_BLOCKS = 2**21
+"""Blocks that all stamps of a call touch, each stamp's counted for itself: about 100 bytes each."""
 MAX_DATA = 2**27
 """Numbers that all stamps of a call consist of: 8 bytes each."""
 SLACK = 1e-6

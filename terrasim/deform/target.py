@@ -87,18 +87,20 @@ def target_of(terrain: Terrain, *, detail: bool) -> Target:
     Raises:
         InputError: If the terrain has no detail grid.
     """
-    grid = terrain.grid
-    if detail:
+    grid, lattice = terrain.grid, terrain.lattice
+    factor = int(lattice.factor) if detail else 1
+    if detail and factor < 2:
         raise InputError("this terrain has no detail grid; open it with a detail factor")
+    row0, col0 = (int(lattice.row0), int(lattice.col0)) if detail else (0, 0)
     return Target(
-        level=0,
-        factor=1,
-        row=grid.row,
-        last_row=grid.row + grid.rows - 1,
-        col=grid.col,
-        last_col=grid.col + grid.cols - 1,
-        row0=0,
-        col0=0,
-        spacing=grid.spacing,
+        level=-1 if detail else 0,
+        factor=factor,
+        row=(grid.row - row0) * factor,
+        last_row=(grid.row + grid.rows - 1 - row0) * factor,
+        col=(grid.col - col0) * factor,
+        last_col=(grid.col + grid.cols - 1 - col0) * factor,
+        row0=row0,
+        col0=col0,
+        spacing=grid.spacing / factor,
         datum=grid.datum,
     )
