@@ -206,6 +206,17 @@ def test_a_block_knows_of_a_spike_on_its_far_edge(
         assert terrain.cache.describe(Block(1, *neighbour))[2] == 200_000
 
 
+@pytest.mark.parametrize("north", [True, False])
+def test_an_edge_that_ends_a_block_is_repeated_beyond_it(*, north: bool) -> None:
+    """The last cells of level 1 rise from 0 to 5000 halfway and stay: they are missed by 2500."""
+    grid = Grid(512, 512, 1.0)
+    wall = np.full((1, 512), 5000, np.int32)
+    with Terrain(ArraySource(np.zeros((512, 512), np.int32), grid)) as terrain:
+        apply_patch(terrain, Patch(511, 0, wall) if north else Patch(0, 511, wall.T))
+        [found] = [rest for key, _, rest in described(terrain) if key == Block(1, 0, 0)]
+    assert found == (0, 0, 2500)
+
+
 def test_a_spike_that_is_taken_away_lets_the_range_shrink_again() -> None:
     """Lowest and highest counts are looked for anew when the post that held them changes."""
     grid = Grid(1025, 1025, 1.0)
