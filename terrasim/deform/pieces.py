@@ -33,18 +33,23 @@ class Piece(NamedTuple):
     """Whether to compare it with the level below."""
 
     @property
-    def needs(self) -> set[Block]:
-        """Blocks that must be resident together."""
-        needed = set(self.below) if self.measure else {self.below[0]}
-        if self.sample:
-            needed.add(self.block)
-        return needed
+    def needs(self) -> tuple[Block, ...]:
+        """Blocks that must be resident together; some may be named twice."""
+        below = self.below if self.measure else self.below[:1]
+        return (self.block, *below) if self.sample else below
 
     def record(self, layers: Mapping[Block, int]) -> tuple[int, ...]:
         """``kernels.propagate.Piece``."""
-        layer = layers[self.block] if self.sample else -1
-        below = self.below if self.measure else self.below[:1] * 4
-        return (layer, *(layers[key] for key in below), *self.place, int(self.measure))
+        own, east, north, corner = self.below if self.measure else self.below[:1] * 4
+        return (
+            layers[self.block] if self.sample else -1,
+            layers[own],
+            layers[east],
+            layers[north],
+            layers[corner],
+            *self.place,
+            int(self.measure),
+        )
 
 
 def pieces_of(grid: Grid, level: int, regions: Regions) -> list[Piece]:
@@ -66,6 +71,9 @@ def groups(pieces: list[Piece], capacity: int, top: int) -> Iterator[list[Piece]
         capacity: Blocks that the pool holds beside the coarsest level; at least four, or all.
         top: The coarsest level, which is always there.
     """
+    if len(pieces) <= MOST and len({key for piece in pieces for key in piece.needs}) <= capacity:
+        yield pieces
+        return
     group: list[Piece] = []
     held: set[Block] = set()
     for piece in _fitting(pieces, capacity, top):

@@ -66,13 +66,29 @@ class _Adder:
     def __call__(self, row0: int, row1: int, col0: int, col1: int, rise: int, fall: int) -> None:
         row0, row1 = self._rows.widened(row0, row1)
         col0, col1 = self._cols.widened(col0, col1)
+        if row0 >> _SHIFT == row1 >> _SHIFT and col0 >> _SHIFT == col1 >> _SHIFT:
+            self._put(Region(row0, row1, col0, col1, rise, fall))
+            return
         for row in range(row0 >> _SHIFT, (row1 >> _SHIFT) + 1):
             low, high = max(row0, row << _SHIFT), min(row1, (row << _SHIFT) + QUADRANT - 1)
             for col in range(col0 >> _SHIFT, (col1 >> _SHIFT) + 1):
                 left, right = max(col0, col << _SHIFT), min(col1, (col << _SHIFT) + QUADRANT - 1)
-                part = Region(low, high, left, right, rise, fall)
-                old = self.regions.get((row, col))
-                self.regions[row, col] = part if old is None else _joined(old, part)
+                self._put(Region(low, high, left, right, rise, fall))
+
+    def _put(self, one: Region) -> None:
+        """Take in a region over one block below."""
+        key = one.row0 >> _SHIFT, one.col0 >> _SHIFT
+        old = self.regions.get(key)
+        if old is not None:
+            one = Region(
+                min(old.row0, one.row0),
+                max(old.row1, one.row1),
+                min(old.col0, one.col0),
+                max(old.col1, one.col1),
+                max(old.rise, one.rise),
+                max(old.fall, one.fall),
+            )
+        self.regions[key] = one
 
 
 class _Axis(NamedTuple):
@@ -98,14 +114,3 @@ class _Axis(NamedTuple):
             return first, last
         low = self.low if first <= self.first else first
         return low, self.high if last >= self.last else last
-
-
-def _joined(one: Region, other: Region) -> Region:
-    return Region(
-        min(one.row0, other.row0),
-        max(one.row1, other.row1),
-        min(one.col0, other.col0),
-        max(one.col1, other.col1),
-        max(one.rise, other.rise),
-        max(one.fall, other.fall),
-    )
