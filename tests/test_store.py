@@ -167,7 +167,7 @@ def test_a_reader_waits_for_no_other_reader(
             assert pool.submit(same, store, source, Block(1, -1, 0)).result(timeout=60)
             return ground()[:256, :256]
 
-        monkeypatch.setattr("terrasim.store.store.unpack", decode_slowly)
+        monkeypatch.setattr("terrasim.store.imported.unpack", decode_slowly)
         store.posts(0, np.array([0]), np.array([300]))
 
 
@@ -256,8 +256,8 @@ def change(path: Path, sql: str) -> None:
 
 def test_a_newer_schema_is_refused(copy: Path) -> None:
     """With both versions in the message."""
-    change(copy, "PRAGMA user_version = 2")
-    with pytest.raises(InputError, match="schema version 2, this release reads 1"):
+    change(copy, "PRAGMA user_version = 3")
+    with pytest.raises(InputError, match="schema version 3, this release reads 1 to 2"):
         open_store(copy)
 
 

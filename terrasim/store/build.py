@@ -19,8 +19,8 @@ from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
+from terrasim.store.opening import require_store
 from terrasim.store.pyramid import BlockRow, Rows, block_rows, level_errors
-from terrasim.store.store import require_store
 from terrasim.store.store_file import BUILDING, writing
 from terrasim.store.store_writer import StoreWriter
 from terrasim.store.unfinished import unfinished

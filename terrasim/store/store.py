@@ -1,74 +1,68 @@
-"""A store: one SQLite file that holds a terrain's blocks of every level.
+"""A store: one SQLite file that holds a terrain's blocks of every level, and what became of them.
 
 Blocks point to content-addressed blobs, so that equal blocks are kept once. Nothing is believed on
-the way back: a blob has its hash, a block's row a seal over all it says, and so do the meta rows.
-A read is right or raises ``StoreCorrupt``.
+the way back: a blob has its hash, a row a seal over all it says. A read is right or raises
+``StoreCorrupt``.
 """
 
 from __future__ import annotations
 
-import json
 import threading
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator
+from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
-import apsw
 import numpy as np
 
 from terrasim.counts import HOLE, Counts, to_metres
 from terrasim.errors import InputError
-from terrasim.grid import Block, Grid, Indices
+from terrasim.grid import Block, Grid, Indices, Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
-from terrasim.sources.source import BlockData
-from terrasim.store.codec import StoreCorrupt, unpack
-from terrasim.store.store_file import (
-    APPLICATION_ID,
-    BUILDING,
-    REMEDY,
-    SCHEMA_VERSION,
-    blob_hash,
-    block_seal,
-    connect_reader,
-    meta_seal,
-    reading,
-    require_sqlite,
-)
-from terrasim.store.unfinished import beside
+from terrasim.sources.source import BlockData, Source
+from terrasim.store.acknowledged import require_sound_log
+from terrasim.store.codec import StoreCorrupt
+from terrasim.store.edited import At, Base, Nodes, read_changed
+from terrasim.store.formula import same_source
+from terrasim.store.imported import Imported
+from terrasim.store.names import no_names, one_state, place_of, read_names
+from terrasim.store.opening import read_meta, require_file, require_length, require_store
+from terrasim.store.readers import Readers
+from terrasim.store.store_file import SCHEMA_VERSION, connect_reader, reading, require_sqlite
+from terrasim.store.tree import DETAIL
 
-__all__ = ["StoreCorrupt", "StoreSource", "info", "open_store"]
+__all__ = ["StoreCorrupt", "StoreSource", "info", "open_snapshot", "open_store"]
 
 _RECENT_BLOCKS = 64
-_BLOCK_SQL = (
-    "SELECT block.lowest, block.highest, block.error, block.seal, blob.hash, blob.data "
-    "FROM block JOIN blob ON blob.id = block.blob "
-    "WHERE block.level = ? AND block.row = ? AND block.col = ?"
-)
 
 
 class StoreSource:
-    """A store's heights, read block by block as they are asked for.
+    """A store's heights in one state, read block by block as they are asked for.
 
     Any number of threads may read at once: each borrows a connection for the query alone, and
     checks and decodes what came by itself.
     """
 
-    def __init__(
-        self, path: Path, meta: dict[str, Any], connect: Callable[[], apsw.Connection]
-    ) -> None:
+    def __init__(self, meta: dict[str, Any], readers: Readers, at: At | None = None) -> None:
         """Take what the meta rows said; ``open_store`` does that."""
-        self.path = path
+        self.path = readers.path
         """The file."""
         self.provenance: dict[str, object] = meta["provenance"]
         """Where the heights come from, ready for JSON."""
         self.summary: dict[str, Any] = meta["summary"]
-        """What the build found: range, holes, blocks, errors a level."""
+        """What the build found: range, holes, blocks, errors a level; little of a formula."""
+        self.schema_version: int = meta.get("schema_version", SCHEMA_VERSION)
+        """Version of the file's tables."""
         self._grid = Grid(**meta["grid"])
         self._synthetic = str(meta["synthetic"])
-        self._connect = connect
-        self._idle: deque[apsw.Connection] = deque()
+        self._readers = readers
+        self._at = at or At()
+        self.nodes = Nodes(readers, self._grid)
+        """The trees of changed blocks."""
+        self._formula: Source | None = same_source(meta["formula"]) if "formula" in meta else None
+        self.base: Base = self._formula or Imported(readers)
+        """Unchanged blocks."""
         self._recent: OrderedDict[Block, Counts] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -82,6 +76,19 @@ class StoreSource:
         """What part of the heights is invented, in a few words; empty if none is."""
         return self._synthetic
 
+    @property
+    def detail_factor(self) -> int:
+        """Detail posts to a base post; 1 if there is no detail."""
+        return self._at.factor
+
+    def at(self, at: At) -> StoreSource:
+        """The same terrain in another state, through the same connections."""
+        other = object.__new__(StoreSource)
+        other.__dict__.update(self.__dict__)
+        other._at = at
+        other._recent, other._lock = OrderedDict(), threading.Lock()
+        return other
+
     def posts(self, level: int, rows: Indices, cols: Indices) -> Counts:
         """Heights of the level's posts at the outer product of two index vectors.
 
@@ -89,6 +96,7 @@ class StoreSource:
 
         Raises:
             InputError: If the terrain has no such level.
+            RunError: As ``block``.
             StoreCorrupt: If a block is missing or damaged.
         """
         self._check_level(level)
@@ -96,37 +104,61 @@ class StoreSource:
         # The outermost posts stand on the edge or beyond it: all further out are like them.
         row = np.clip(np.asarray(rows, dtype=np.int64), span.row0, span.row1 - 1)
         col = np.clip(np.asarray(cols, dtype=np.int64), span.col0, span.col1 - 1)
-        out = np.empty((row.size, col.size), dtype=np.int32)
-        by_col = list(_by_block(col))
-        for block_row, at_row in _by_block(row):
-            inside = row[at_row] & (BLOCK - 1)
-            for block_col, at_col in by_col:
-                posts = self._decoded(Block(level, block_row, block_col)).take(inside, axis=0)
-                _put(out, at_row, at_col, posts.take(col[at_col] & (BLOCK - 1), axis=1))
+        by_row, by_col = dict(_by_block(row)), dict(_by_block(col))
+        if self._formula is None:
+            out = np.empty((row.size, col.size), dtype=np.int32)
+            keys = iter([Block(level, r, c) for r in by_row for c in by_col])
+        else:
+            out = self._formula.posts(level, row, col)
+            keys = self._changed(level, by_row, by_col)
+        for key in keys:
+            at_row, at_col = by_row[key.row], by_col[key.col]
+            posts = self._decoded(key).take(row[at_row] & (BLOCK - 1), axis=0)
+            _put(out, at_row, at_col, posts.take(col[at_col] & (BLOCK - 1), axis=1))
         return out
 
     def block(self, key: Block) -> BlockData:
         """One block, ready for the pool: read, checked and decoded anew each time.
 
+        A detail block, of level -1, that was never written is zero everywhere.
+
         Raises:
             InputError: If the terrain has no such block.
+            RunError: If the disk fails, or the state was dropped and collected meanwhile.
             StoreCorrupt: If it is missing or damaged.
         """
-        self._check_level(key.level)
-        span = self._grid.blocks(key.level)
+        if key.level != DETAIL or self._at.factor == 1:
+            self._check_level(key.level)
+        span = self.nodes.extent(key.level, self._at.factor).rows
         if not (span.row0 <= key.row < span.row1 and span.col0 <= key.col < span.col1):
             raise InputError(
                 f"level {key.level} has blocks ({span.row0}, {span.col0}) to "
                 f"({span.row1 - 1}, {span.col1 - 1}), got ({key.row}, {key.col})"
             )
-        with reading(self.path):
-            row = self._fetch(key)
-        return self._checked(key, row)
+        changed = read_changed(self.nodes, self.base, self._at, key)
+        if changed is not None:
+            return changed
+        if key.level == DETAIL:
+            return BlockData(np.zeros((BLOCK, BLOCK), np.int32), 0, 0, 0)
+        return self.base.block(key)
+
+    def details(self, key: Block) -> list[Block]:
+        """Detail blocks within a level-0 block that are not zero everywhere, in order.
+
+        Raises:
+            RunError: As ``block``.
+            StoreCorrupt: As ``block``.
+        """
+        factor, first = self._at.factor, self._grid.blocks(0)
+        if factor == 1 or key.level != 0:
+            return []
+        row, col = (key.row - first.row0) * factor, (key.col - first.col0) * factor
+        rect = Span(row, row + factor, col, col + factor)
+        return sorted(one for one, _ in self.nodes.entries(self._at, DETAIL, rect))
 
     def close(self) -> None:
         """Close the connections that are idle. Reading on opens new ones."""
-        while self._idle:
-            self._idle.popleft().close()
+        self._readers.close()
 
     def __enter__(self) -> Self:
         return self
@@ -138,30 +170,16 @@ class StoreSource:
         if not 0 <= level <= self._grid.top:
             raise InputError(f"level must be 0 to {self._grid.top}, got {level}")
 
-    def _fetch(self, key: Block) -> tuple[Any, ...] | None:
-        try:
-            connection = self._idle.pop()
-        except IndexError:
-            connection = self._connect()
-        try:
-            row: tuple[Any, ...] | None = connection.execute(_BLOCK_SQL, tuple(key)).fetchone()
-            return row
-        finally:
-            self._idle.append(connection)
-
-    def _checked(self, key: Block, row: tuple[Any, ...] | None) -> BlockData:
-        name = f"{self.path}: block ({key.row}, {key.col}) of level {key.level}"
-        if row is None:
-            raise StoreCorrupt(f"{name} is missing; {REMEDY}")
-        lowest, highest, error, sealed, content, data = row
-        if block_seal(key, content, lowest, highest, error) != sealed:
-            raise StoreCorrupt(f"{name} is not the one that was written; {REMEDY}")
-        if not isinstance(data, bytes) or blob_hash(data) != content:
-            raise StoreCorrupt(f"{name} is damaged; {REMEDY}")
-        posts = unpack(data)
-        if posts.shape != (BLOCK, BLOCK):
-            raise StoreCorrupt(f"{name} has shape {posts.shape}; {REMEDY}")
-        return BlockData(posts, lowest, highest, error)
+    def _changed(
+        self, level: int, by_row: dict[int, Indices], by_col: dict[int, Indices]
+    ) -> Iterator[Block]:
+        """Changed blocks among those that are asked for."""
+        if not by_row or not by_col:
+            return
+        rect = Span(min(by_row), max(by_row) + 1, min(by_col), max(by_col) + 1)
+        for key, _ in self.nodes.entries(self._at, level, rect):
+            if key.row in by_row and key.col in by_col:
+                yield key
 
     def _decoded(self, key: Block) -> Counts:
         with self._lock:
@@ -196,73 +214,51 @@ def _put(out: Counts, rows: Indices, cols: Indices, posts: Counts) -> None:
         out[np.ix_(rows, cols)] = posts
 
 
-def open_store(path: str | Path) -> StoreSource:
-    """Open a finished store for reading.
+def open_store(
+    path: str | Path, *, branch: str | None = None, snapshot: str | None = None, vfs: str = ""
+) -> StoreSource:
+    """Open a finished store for reading, in the state that it has now.
+
+    Args:
+        path: The store.
+        branch: Read this branch's newest checkpoint; by default that of ``main``, or the terrain as
+            imported if nothing was done to it yet.
+        snapshot: Read this snapshot instead.
+        vfs: Name of the SQLite VFS to go through; empty for the system's own.
 
     Raises:
         InputError: If there is none at ``path``, or what is there is another kind of file, a newer
-            store, or one whose import did not end.
-        StoreCorrupt: If the file is cut short or its meta rows are damaged.
+            store, or one whose import did not end; or there is no such branch or snapshot.
+        StoreCorrupt: If the file is cut short, its write-ahead log or one of the rows that say what
+            it holds is damaged.
         RunError: If it cannot be read.
     """
     path = Path(path)
     require_sqlite()
-    _require_file(path)
+    require_file(path)
     with reading(path):
-        connection = connect_reader(path)
+        require_sound_log(path)
+        connection = connect_reader(path, vfs)
         try:
-            require_store(path, connection)
-            _require_length(path, connection)
-            found: list[Any] = connection.execute("SELECT key, value FROM meta").fetchall()
+            version = require_store(path, connection)
+            require_length(path, connection)
+            with one_state(connection):
+                meta = read_meta(path, connection)
+                if version > 1:
+                    at = place_of(connection, read_names(connection), branch, snapshot)
+                elif branch or snapshot:
+                    raise no_names(path)
+                else:
+                    at = At()
         finally:
             connection.close()
-    rows = dict(found)
-    if rows.get("state") == "building":
-        raise InputError(f"{path} is half-built; run the import again")
-    if rows.pop("seal", None) != meta_seal(rows) or rows.pop("state") != "complete":
-        raise StoreCorrupt(f"{path}: the meta rows are damaged; {REMEDY}")
-    meta = {key: json.loads(value) for key, value in rows.items()}
-    return StoreSource(path, meta, lambda: connect_reader(path))
+    meta["schema_version"] = version
+    return StoreSource(meta, Readers(path, lambda: connect_reader(path, vfs)), at)
 
 
-def require_store(path: Path, connection: apsw.Connection) -> None:
-    """Refuse a file that is no store, or one of another schema version.
-
-    Raises:
-        InputError: In either case.
-    """
-    try:
-        application = connection.pragma("application_id")
-    except apsw.NotADBError:
-        application = None
-    if application != APPLICATION_ID:
-        raise InputError(f"{path} is no terrasim store; make one with terrasim import")
-    version = connection.pragma("user_version")
-    if version != SCHEMA_VERSION:
-        raise InputError(
-            f"{path} has schema version {version}, this release reads {SCHEMA_VERSION}; "
-            f"use the release that wrote it"
-        )
-
-
-def _require_length(path: Path, connection: apsw.Connection) -> None:
-    # What stands in the write-ahead log need not be in the file yet.
-    expected = connection.pragma("page_count") * connection.pragma("page_size")
-    log = beside(path, "-wal")
-    size = path.stat().st_size
-    if size < expected and not (log.exists() and log.stat().st_size):
-        raise StoreCorrupt(f"{path} is cut short: {size} of {expected} bytes; {REMEDY}")
-
-
-def _require_file(path: Path) -> None:
-    # It is not opened here: closing it would take away the locks of this process's connections.
-    if path.is_file():
-        return
-    if path.exists():
-        raise InputError(f"{path} is no file; name a terrasim store")
-    if beside(path, BUILDING).exists():
-        raise InputError(f"{path} is half-built; run the import again")
-    raise InputError(f"there is no store at {path}; make one with terrasim import")
+def open_snapshot(path: str | Path, name: str) -> StoreSource:
+    """Open a snapshot for reading; see :func:`open_store`."""
+    return open_store(path, snapshot=name)
 
 
 def info(path: str | Path) -> dict[str, Any]:
@@ -292,5 +288,5 @@ def info(path: str | Path) -> dict[str, Any]:
         "ratio": 4 * posts / size,
         "synthetic": store.synthetic,
         "provenance": store.provenance,
-        "schema_version": SCHEMA_VERSION,
+        "schema_version": store.schema_version,
     }

@@ -1,6 +1,6 @@
 """A store as a file: its tables, its hashes, who may open it, and what SQLite's errors mean.
 
-Later tables (journal, branches, snapshots) come with a higher schema version.
+What is done to the terrain later has its own tables: see ``records.py``.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from terrasim.store.unfinished import beside
 
 APPLICATION_ID = 0x54525349
 """Tells a store from any other SQLite file: "TRSI" at byte 68."""
-SCHEMA_VERSION = 1
-"""A file of a newer version is refused."""
+SCHEMA_VERSION = 2
+"""A file of a newer version is refused. Version 1 has no journal, branches and snapshots."""
 SCHEMA = """
 CREATE TABLE meta (
     key TEXT PRIMARY KEY,
@@ -83,16 +83,27 @@ def meta_seal(rows: dict[str, str]) -> str:
     return blake2b(repr(sorted(rows.items())).encode(), digest_size=16).hexdigest()
 
 
-def connect_reader(path: Path) -> apsw.Connection:
-    """A connection that only reads. The file must exist."""
+def seal(*said: object) -> bytes:
+    """Eight bytes that change with anything that is said."""
+    return blake2b(repr(said).encode(), digest_size=8).digest()
+
+
+def connect_reader(path: Path, vfs: str = "") -> apsw.Connection:
+    """A connection that only reads. The file must exist.
+
+    Args:
+        path: The file.
+        vfs: Name of the SQLite VFS to go through; empty for the system's own.
+    """
     path = path.absolute()
     writable = os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
     if not writable and not beside(path, "-wal").exists():
         # Nobody here can write the file, nor those beside it through which SQLite would tell us.
         name = path.as_uri() + "?immutable=1"
-        return apsw.Connection(name, apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)
+        flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
+        return apsw.Connection(name, flags, vfs=vfs or None)
     # A connection without the right to write leaves files behind when it closes.
-    connection = apsw.Connection(str(path), apsw.SQLITE_OPEN_READWRITE)
+    connection = apsw.Connection(str(path), apsw.SQLITE_OPEN_READWRITE, vfs=vfs or None)
     connection.set_busy_timeout(5000)
     connection.pragma("query_only", True)
     return connection
@@ -128,12 +139,15 @@ def writing(path: Path) -> Iterator[None]:
 
     Raises:
         RunError: If the disk is full or fails, or the file is in use.
+        StoreCorrupt: If what is there is damaged.
         InputError: If nothing may be written at the path.
     """
     try:
         yield
     except apsw.FullError:
         raise RunError(f"{path} cannot be written: the disk is full; make room") from None
+    except (apsw.CorruptError, apsw.NotADBError) as error:
+        raise StoreCorrupt(f"{path} is damaged ({error}); {REMEDY}") from None
     except (apsw.BusyError, apsw.LockedError):
         raise RunError(f"{path} is in use by another process; try again later") from None
     except (apsw.CantOpenError, apsw.PermissionsError, apsw.ReadOnlyError) as error:

@@ -13,6 +13,8 @@ from terrasim.counts import Counts
 from terrasim.grid import Block, Grid
 from terrasim.sources.source import BlockData, describe
 from terrasim.store.codec import CODEC, pack
+from terrasim.store.migrate import add_tables
+from terrasim.store.readers import Readers
 from terrasim.store.store import StoreSource
 from terrasim.store.store_file import (
     APPLICATION_ID,
@@ -40,6 +42,7 @@ class StoreWriter:
         self._db.pragma("application_id", APPLICATION_ID)
         self._db.pragma("user_version", SCHEMA_VERSION)
         self._db.execute(SCHEMA).fetchall()
+        add_tables(self._db)
         self._db.execute("INSERT INTO meta VALUES ('state', 'building')")
         self._db.execute("BEGIN")
 
@@ -68,7 +71,7 @@ class StoreWriter:
     def written(self, grid: Grid) -> StoreSource:
         """What has been written so far as a source, for this thread alone."""
         meta = {"grid": asdict(grid), "synthetic": "", "provenance": {}, "summary": {}}
-        return StoreSource(self._path, meta, lambda: self._db)
+        return StoreSource(meta, Readers(self._path, lambda: self._db))
 
     def blobs(self) -> int:
         """How many different blocks there are."""
@@ -76,13 +79,16 @@ class StoreWriter:
         assert isinstance(count, int)
         return count
 
-    def finish(self, grid: Grid, synthetic: str, provenance: object, summary: object) -> None:
+    def finish(
+        self, grid: Grid, synthetic: str, provenance: object, summary: object, **more: object
+    ) -> None:
         """Write what is known of the whole and mark the store as complete."""
         meta: dict[str, Any] = {
             "grid": asdict(grid),
             "synthetic": synthetic,
             "provenance": provenance,
             "summary": summary,
+            **more,
         }
         rows = {key: json.dumps(value) for key, value in meta.items()} | {"state": "complete"}
         rows["seal"] = meta_seal(rows)

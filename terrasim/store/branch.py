@@ -1,0 +1,416 @@
+"""A branch that is open for writing: what is done goes into its journal, images follow.
+
+Recovery is the newest checkpoint and the rows after it, done once more by whoever understands them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import apsw
+
+from terrasim.counts import Counts
+from terrasim.errors import InputError
+from terrasim.grid import Block, Grid, Indices
+from terrasim.sources.source import BlockData
+from terrasim.store import journal, records
+from terrasim.store.checkpoint import has_detail, write_images
+from terrasim.store.edited import At, Collected
+from terrasim.store.epochs import lineage, now
+from terrasim.store.journal import JournalRow, NewRow, Tail
+from terrasim.store.moves import (
+    change_factor,
+    forget_branch,
+    forget_snapshot,
+    fork_at,
+    next_checkpoint,
+    note_tail,
+    reset_to,
+    take_snapshot,
+)
+from terrasim.store.names import (
+    MAIN,
+    BranchState,
+    SnapshotState,
+    branches,
+    snapshots,
+)
+from terrasim.store.opening import read_meta
+from terrasim.store.readers import Readers
+from terrasim.store.records import Checkpoint, Idem, Snapshot
+from terrasim.store.standing import Standing, stand
+from terrasim.store.store import StoreSource
+from terrasim.store.store_file import connect_reader
+from terrasim.store.writer import Writer
+
+T = TypeVar("T")
+
+
+class Branch:
+    """A named line of states that is written to. Also a source: its newest checkpoint's heights.
+
+    Reading is safe from several threads; appending and writing a checkpoint may go on at once.
+    """
+
+    def __init__(self, path: Path, name: str, *, create: bool, vfs: str) -> None:
+        """Take the writer's lock; use :func:`open_branch`."""
+        self.name = name
+        """Its name."""
+        self.path = path
+        """The store."""
+        self._writer = Writer(path, vfs)
+        self._readers = Readers(path, lambda: connect_reader(path, vfs))
+        # One at a time writes images, drops them or moves the branch; appending goes on meanwhile.
+        self.images_lock = threading.RLock()
+        """Held while images are written or collected."""
+        self._closed = False
+        try:
+            self._standing = stand(self._writer, self._readers, name, create)
+            with self._readers.borrow() as db:
+                meta = read_meta(path, db)
+            self._view = StoreSource(meta, self._readers, self._standing.at)
+        except BaseException:
+            self._readers.close()
+            self._writer.close()
+            raise
+
+    @property
+    def grid(self) -> Grid:
+        """Placement of the level-0 posts."""
+        return self._view.grid
+
+    @property
+    def synthetic(self) -> str:
+        """What part of the heights is invented, in a few words; empty if none is."""
+        return self._view.synthetic
+
+    @property
+    def provenance(self) -> dict[str, object]:
+        """Where the imported heights come from, ready for JSON."""
+        return self._view.provenance
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What the import found."""
+        return self._view.summary
+
+    @property
+    def detail_factor(self) -> int:
+        """Detail posts to a base post; 1 if there is no detail."""
+        return self._standing.factor
+
+    @property
+    def last_seq(self) -> int:
+        """Highest number of a journal row so far."""
+        return self._standing.last
+
+    @property
+    def checkpoint_seq(self) -> int:
+        """What the journal's rows up to this one did is in the newest checkpoint."""
+        return self._standing.checkpoint.seq
+
+    @property
+    def writer(self) -> Writer:
+        """The store's only writing connection."""
+        return self._writer
+
+    @property
+    def readers(self) -> Readers:
+        """Connections that read."""
+        return self._readers
+
+    def posts(self, level: int, rows: Indices, cols: Indices) -> Counts:
+        """Heights of the newest checkpoint; see :meth:`terrasim.store.store.StoreSource.posts`."""
+        return self._newest(lambda view: view.posts(level, rows, cols))
+
+    def block(self, key: Block) -> BlockData:
+        """One block of the newest checkpoint: :meth:`terrasim.store.store.StoreSource.block`."""
+        return self._newest(lambda view: view.block(key))
+
+    def details(self, key: Block) -> list[Block]:
+        """Detail blocks within a level-0 block that are not zero at the newest checkpoint."""
+        return self._newest(lambda view: view.details(key))
+
+    def append(
+        self, op: bytes, *, idem: str | None = None, engine: str = "", summary: str = ""
+    ) -> int:
+        """Write what is done into the journal; it is on the disk when this returns.
+
+        Args:
+            op: What is done, opaque here.
+            idem: A key of the caller's: the same operation under the same key is written once.
+            engine: Who does it, so that doing it again elsewhere can be told.
+            summary: What is done, in a few words for a list.
+
+        Returns:
+            Its number; that of the first time if it was written under the same key before.
+
+        Raises:
+            InputError: If the key stands for another operation, or a word is no text.
+            RunError: If the disk is full or fails: nothing is written then. After a failure nothing
+                is written until ``reopen``.
+        """
+        return self.append_many([NewRow(op, idem, engine, summary)])[0]
+
+    def append_many(self, rows: Sequence[NewRow]) -> list[int]:
+        """Write several rows at once: all of them are on the disk when this returns, or none is.
+
+        Raises:
+            InputError: As ``append``; none is written then.
+            RunError: As ``append``.
+        """
+        for row in rows:
+            journal.check_new(row)
+        found = []
+        with self._writer.transaction() as work:
+            # Nobody else changes it while the transaction is open.
+            standing = self._standing
+            tail, last = standing.tail, standing.last
+            for row in rows:
+                seq = self._earlier(work.db, row)
+                if seq is None:
+                    last += 1
+                    seq, time = last, now()
+                    tail = journal.write_row(work.db, tail, seq, time, row)
+                    if row.idem is not None:
+                        said = Idem(self.name, row.idem, seq, journal.op_hash(row.op), time)
+                        records.write(work.db, said)
+                found.append(seq)
+            work.tail = tail
+            work.done = lambda: self._stand(replace(standing, tail=tail, last=last))
+        return found
+
+    def pending(self) -> Iterator[tuple[int, bytes, str]]:
+        """Number, operation and engine of the rows after the newest checkpoint, oldest first.
+
+        Raises:
+            StoreCorrupt: If one is not as it was written.
+        """
+        at = self._standing.checkpoint
+        for row, _ in journal.read_rows(self._readers.fetch, Tail(at.epoch, at.seq, at.chain)):
+            yield row.seq, row.op, row.engine
+
+    def rows(self, first: int = 0) -> Iterator[JournalRow]:
+        """The branch's history from a number on, oldest first, as far as it was not trimmed.
+
+        Raises:
+            StoreCorrupt: If a row is not as it was written.
+        """
+        with self._readers.borrow() as db:
+            stretches = lineage(db, self._standing.row.epoch)
+        for epoch, until in reversed(stretches):
+            if until >= first:
+                tail = journal.chain_at(self._readers.fetch, epoch, first - 1)
+                for row, _ in journal.read_rows(self._readers.fetch, tail, until):
+                    yield row
+
+    def history(self, limit: int = 100) -> list[JournalRow]:
+        """The newest rows of the branch's history, newest first.
+
+        Raises:
+            InputError: If the limit is negative.
+            StoreCorrupt: If a row is not as it was written.
+        """
+        if limit < 0:
+            raise InputError(f"limit must not be negative, got {limit}")
+        with self._readers.borrow() as db:
+            stretches = lineage(db, self._standing.row.epoch)
+        found: list[JournalRow] = []
+        for epoch, until in stretches:
+            left = limit - len(found)
+            found += journal.newest_rows(self._readers.fetch, epoch, until, left) if left else []
+        return found
+
+    def checkpoint(self, blocks: Mapping[Block, BlockData | None], seq: int) -> Checkpoint:
+        """Write images of what has changed since the last checkpoint.
+
+        Args:
+            blocks: The blocks that changed; None for a detail block that is zero again.
+            seq: What the journal's rows up to this one did is in the blocks, and no more.
+
+        Returns:
+            What was written.
+
+        Raises:
+            InputError: If a block or the number is none of this branch's.
+            RunError: If it cannot be written; the state is the one before then.
+        """
+        with self.images_lock:
+            before = self._standing
+            if not before.checkpoint.seq <= seq <= before.last:
+                raise InputError(
+                    f"a checkpoint comes after operation {before.checkpoint.seq} to {before.last}, "
+                    f"got {seq}"
+                )
+            nodes, base = self._view.nodes, self._view.base
+            images = write_images(self._writer, nodes, base, before.at, blocks)
+            detailed = has_detail(nodes, At(0, images.root, before.factor))
+            with self._writer.transaction() as work:
+                # Rows may have come since.
+                standing = self._standing
+                moved = next_checkpoint(work.db, standing, seq, images, detailed)
+                work.done = lambda: self._stand(moved)
+            return moved.checkpoint
+
+    def snapshot(self, name: str) -> Snapshot:
+        """Give the state of the newest checkpoint a name.
+
+        Raises:
+            InputError: If the name is taken or no name, or there are rows after the checkpoint.
+            RunError: If it cannot be written.
+        """
+        with self.images_lock, self._writer.transaction() as work:
+            return take_snapshot(work.db, self._standing, name)
+
+    def reset(self, to: str | int) -> None:
+        """Go back to a snapshot or to the checkpoint after an operation; costs the same always.
+
+        What was done since is no part of the branch any more. Rows not yet in a checkpoint are
+        dropped with it.
+
+        Raises:
+            InputError: If there is no such state.
+            RunError: If it cannot be written.
+        """
+        with self.images_lock, self._writer.transaction() as work:
+            moved = reset_to(work.db, self._standing, to)
+            work.tail = moved.tail
+            work.done = lambda: self._stand(moved)
+
+    def fork(self, name: str, at: str | int | None = None) -> None:
+        """Begin a branch in the state of a snapshot or checkpoint, by default the newest one.
+
+        Raises:
+            InputError: If the name is taken or no name, there is no such state, or by default if
+                there are rows after the newest checkpoint.
+            RunError: If it cannot be written.
+        """
+        with self.images_lock, self._writer.transaction() as work:
+            fork_at(work.db, self._standing, name, at)
+
+    def drop_branch(self, name: str) -> None:
+        """Forget a branch; what only it held is collected later.
+
+        Raises:
+            InputError: If there is none, it is the main branch or this one.
+            RunError: If it cannot be written.
+        """
+        if name in {MAIN, self.name}:
+            raise InputError(f"branch {name!r} cannot be dropped: it is the main one or in use")
+        with self.images_lock, self._writer.transaction() as work:
+            forget_branch(work.db, name)
+
+    def drop_snapshot(self, name: str) -> None:
+        """Forget a snapshot; what only it held is collected later.
+
+        Raises:
+            InputError: If there is none.
+            RunError: If it cannot be written.
+        """
+        with self.images_lock, self._writer.transaction() as work:
+            forget_snapshot(work.db, name)
+
+    def branches(self) -> dict[str, BranchState]:
+        """All branches by name."""
+        return branches(self._readers)
+
+    def snapshots(self) -> dict[str, SnapshotState]:
+        """All snapshots by name."""
+        return snapshots(self._readers)
+
+    def set_detail_factor(self, factor: int) -> None:
+        """Say how many detail posts there are to a base post; the file keeps it.
+
+        Raises:
+            InputError: If it is no whole number from 1 on, the detail's numbers would be too large,
+                or there are detail blocks or waiting rows that go by another one.
+            RunError: If it cannot be written.
+        """
+        with self.images_lock, self._writer.transaction() as work:
+            changed = change_factor(work.db, self._standing, self.grid, factor)
+            work.done = lambda: self._stand(changed)
+
+    def reopen(self) -> None:
+        """Go on after the disk failed: what was acknowledged is checked, all else dropped.
+
+        Raises:
+            RunError: If the disk still fails.
+            StoreCorrupt: If something acknowledged is lost.
+        """
+        with self.images_lock, self._writer.lock:
+            self._readers.close()
+            self._writer.reopen()
+            self._stand(stand(self._writer, self._readers, self.name, create=False))
+
+    def close(self) -> None:
+        """Note where the branch stands and let go of the store."""
+        with self.images_lock:
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                if self._writer.sound:
+                    with self._writer.transaction() as work:
+                        note_tail(work.db, self._standing)
+            finally:
+                self._readers.close()
+                self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _stand(self, standing: Standing) -> None:
+        """Take a new place; readers see it from the next block on."""
+        if standing.at != self._standing.at:
+            self._view = self._view.at(standing.at)
+        self._standing = standing
+
+    def _newest(self, read: Callable[[StoreSource], T]) -> T:
+        """Read; again if the state was dropped and collected while another came."""
+        while True:
+            view = self._view
+            try:
+                return read(view)
+            except Collected:
+                if view is self._view:
+                    raise
+
+    def _earlier(self, db: apsw.Connection, row: NewRow) -> int | None:
+        """The number under which the same was written before under the same key."""
+        if row.idem is None:
+            return None
+        found = records.read(db, Idem, self.name, row.idem)
+        if found is None:
+            return None
+        if found.op != journal.op_hash(row.op):
+            raise InputError(
+                f"the key {row.idem!r} stands for another operation, number {found.seq}; "
+                "use a new key"
+            )
+        return found.seq
+
+
+def open_branch(
+    path: str | Path, name: str = MAIN, *, create: bool = False, vfs: str = ""
+) -> Branch:
+    """Open a branch of a store for writing. A store has one writer at a time, and any readers.
+
+    Args:
+        path: The store; one of an older version is brought up to this one.
+        name: The branch. The main one is there always.
+        create: Begin a branch of that name on the terrain as imported if there is none.
+        vfs: Name of the SQLite VFS to go through; empty for the system's own.
+
+    Raises:
+        InputError: If there is no such store or branch, or the store is of a newer version.
+        RunError: If the store is open for writing already, or the disk fails.
+        StoreCorrupt: If something acknowledged is lost or damaged.
+    """
+    return Branch(Path(path), name, create=create, vfs=vfs)
