@@ -69,10 +69,22 @@ class Terrain:
             self.grid, self.ground, layers, self.device, loaders, waits=late == "wait"
         )
         self.lattice = lattice_of(self.grid)
+        self.cache.before_reading = self.settle
+        self.edits: Any = None
+        """What is done to the ground, once something was; see :mod:`terrasim.deform.edits`."""
+
+    def settle(self) -> None:
+        """Let what waits to be done to the ground be done, before anyone reads it."""
+        if self.edits is not None:
+            self.edits.settle()
 
     @property
     def pool(self) -> Any:
-        """Resident posts [counts], int32, shape ``(layers * BLOCK * BLOCK,)``."""
+        """Resident posts [counts], int32, shape ``(layers * BLOCK * BLOCK,)``.
+
+        Whoever reads the ground comes through here, so what waits is done first.
+        """
+        self.settle()
         return self.cache.pool.posts
 
     @property
@@ -102,8 +114,15 @@ class Terrain:
         return (self.cache.required if self.late == "wait" else self.cache.resident).entries
 
     def close(self) -> None:
-        """End the loader threads. The terrain must not be used afterwards."""
-        self.cache.close()
+        """Write what was done, if there is a store, and end the loader threads.
+
+        The terrain must not be used afterwards.
+        """
+        try:
+            if self.edits is not None:
+                self.edits.close()
+        finally:
+            self.cache.close()
 
     def __enter__(self) -> Self:
         """Use the terrain as a context manager."""

@@ -8,7 +8,7 @@ and changing level are the same act: needs change, jobs follow.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,8 @@ class Cache:
             waits: Whether a step waits for blocks it requires. If not, they are asked for before
                 all that is wanted, and the step does without.
         """
+        self.before_reading: Callable[[], object] = _nothing
+        """Called before the ground is read: what waits to change it is done then."""
         self._waits = waits
         self._late: list[Block] = []
         self.grid = grid
@@ -90,6 +92,7 @@ class Cache:
         Waiting is a stall. Needs that together exceed the pool are coarsened, the finest and
         largest first, so that what a step reads never depends on how fast a disk was.
         """
+        self.before_reading()
         fitting = coarsen(needs, self.grid, self.capacity, self._top)
         self.counters.coarsened += fitting.steps
         needed = set(fitting.blocks)
@@ -187,6 +190,7 @@ class Cache:
         Raises:
             RunError: If there are more than the pool holds.
         """
+        self.before_reading()
         keys = list(blocks)
         held = dict.fromkeys(keys)
         beside = len(held.keys() - self._top)
@@ -251,6 +255,32 @@ class Cache:
         for key in sorted(self._dirty):
             self._write_back(key)
         self.counters.read_ms = self._loader.read_ms
+
+    @property
+    def dirty(self) -> int:
+        """Number of resident blocks that the ground does not know yet."""
+        return len(self._dirty)
+
+    def discard(self) -> None:
+        """Forget every resident block, edits too, and bring in the coarsest level anew."""
+        self._loader.forget()
+        self._dirty.clear()
+        self._arriving.clear()
+        for key, layer in list(self._layer.items()):
+            self.resident.clear(key)
+            self.required.clear(key)
+            self._key[layer] = None
+        self._layer.clear()
+        self._needed.clear()
+        self._requirement.clear()
+        self._late.clear()
+        self._wanted.clear()
+        self._free = list(range(self.pool.layers - 1, -1, -1))
+        self._bounds = [(0, 0, 0)] * self.pool.layers
+        self._bring(sorted(self._top), set(self._top))
+        for key in sorted(self._top):
+            self.required.set(key, self._layer[key])
+        self._publish()
 
     def close(self) -> None:
         """End the loader's threads."""
@@ -383,3 +413,7 @@ class Cache:
     def _publish(self) -> None:
         self.resident.publish()
         self.required.publish()
+
+
+def _nothing() -> None:
+    """Nothing waits."""

@@ -76,6 +76,12 @@ class Loader:
             if self._loading[key].cancel():
                 del self._loading[key]
 
+    def forget(self) -> None:
+        """Forget all that was asked for, read or not: it is out of date."""
+        for future in self._loading.values():
+            future.cancel()
+        self._loading.clear()
+
     def close(self) -> None:
         """End the threads; what has not begun is dropped, edits being packed are finished."""
         self._threads.shutdown(wait=True, cancel_futures=True)
