@@ -1,29 +1,22 @@
 """A level sampled anew from the level below, and how far it lies from it.
 
-A cell of a level has four posts, which the level below has too, and on its edges and its diagonal
-lie three kinds of middle posts that only the level below has. The surface below is linear between
-all of these, so the two surfaces are furthest apart at a middle post: half of
-``2 * middle - (one end) - (other end)``.
+A thread takes one row of a piece: a rectangle of a block over one block of the level below.
 """
 
 import warp as wp
 
 from terrasim.kernels.addressing import offset_in_pool
+from terrasim.kernels.level_distance import edge_distance, largest_distance, lower_edges
 from terrasim.kernels.rows import posts_from
 
 QUADRANT = 128
 """Posts along the side of the part of a block that one block of the level below covers."""
 FIELDS = 7
 """Numbers that a row of a piece gives: see ``carry_up``."""
-UNKNOWN = 1 << 40
-"""Distance where the level below has a hole in a triangle of the level: it cannot say."""
 
 _HOLE = wp.constant(-(2**31))
 _MAX = wp.constant(2**31 - 1)
-_UNKNOWN = wp.constant(wp.int64(UNKNOWN))
-_ZERO = wp.constant(wp.int64(0))
 _NONE = wp.constant(wp.int64(-1))
-_ONE = wp.constant(wp.int64(1))
 _SHIFT = wp.constant(7)
 _MASK = wp.constant(QUADRANT - 1)
 _BLOCK = wp.constant(256)
@@ -39,7 +32,9 @@ class Piece:
     layer: int
     """The block's layer, or -1 to measure only."""
     own: int
-    """Layer of the block below."""
+    """Layer of the block below, and which of its level it is."""
+    own_row: int
+    own_col: int
     east: int
     """Layer of the next block below along x."""
     north: int
@@ -133,97 +128,6 @@ def repeat_post(pool: wp.array(dtype=int), source: int, target: int, count: int)
 
 
 @wp.func
-def edge_distance(one: int, middle: int, other: int) -> wp.int64:
-    """Distance of a middle post from the line between two posts [half counts]."""
-    if one == _HOLE or other == _HOLE:
-        return _ZERO
-    if middle == _HOLE:
-        return _UNKNOWN
-    return wp.abs((wp.int64(middle) << _ONE) - (wp.int64(one) + wp.int64(other)))
-
-
-@wp.func
-def plain_distance(
-    pool: wp.array(dtype=int), low: int, middle: int, high: int, count: int
-) -> wp.int64:
-    """Largest distance [half counts] of cells whose posts below lie side by side.
-
-    -1 if one of those is a hole.
-    """
-    worst = wp.int64(0)
-    lowest = int(0)
-    bottom_row = posts_from(pool, low)
-    middle_row = posts_from(pool, middle)
-    top_row = posts_from(pool, high)
-    i = int(0)
-    while i < count:
-        k = i + i
-        near = bottom_row[k]
-        bottom = bottom_row[k + 1]
-        right = bottom_row[k + 2]
-        side = middle_row[k]
-        centre = middle_row[k + 1]
-        above = top_row[k]
-        far = top_row[k + 2]
-        ends = wp.min(wp.min(near, above), wp.min(right, far))
-        lowest = wp.min(wp.min(lowest, ends), wp.min(bottom, wp.min(side, centre)))
-        one = wp.int64(near)
-        along = (wp.int64(bottom) << _ONE) - (one + wp.int64(right))
-        up = (wp.int64(side) << _ONE) - (one + wp.int64(above))
-        across = (wp.int64(centre) << _ONE) - (one + wp.int64(far))
-        worst = wp.max(worst, wp.max(wp.abs(along), wp.max(wp.abs(up), wp.abs(across))))
-        i += 1
-    return wp.where(lowest == _HOLE, _NONE, worst)
-
-
-@wp.func
-def largest_distance(
-    pool: wp.array(dtype=int),
-    low: int,
-    middle: int,
-    high: int,
-    step: int,
-    count: int,
-    east_low: int,
-    east_high: int,
-) -> wp.int64:
-    """Largest distance [half counts] of a row of cells from its three rows of posts below."""
-    worst = wp.int64(0)
-    begin = int(0)
-    if step == 2:
-        worst = plain_distance(pool, low, middle, high, count - 1)
-        begin = wp.where(worst < _ZERO, 0, count - 1)
-    half = step >> 1
-    for c in range(begin, count):
-        at = step * c
-        near = pool[(low + at) & _NO_SIGN]
-        bottom = pool[(low + at + half) & _NO_SIGN]
-        side = pool[(middle + at) & _NO_SIGN]
-        centre = pool[(middle + at + half) & _NO_SIGN]
-        above = pool[(high + at) & _NO_SIGN]
-        right = pool[wp.where(c == count - 1, east_low, low + at + step) & _NO_SIGN]
-        far = pool[wp.where(c == count - 1, east_high, high + at + step) & _NO_SIGN]
-        worst = wp.max(worst, edge_distance(near, bottom, right))
-        worst = wp.max(worst, edge_distance(near, side, above))
-        worst = wp.max(worst, edge_distance(near, centre, far))
-    return worst
-
-
-@wp.func
-def lower_edges(
-    pool: wp.array(dtype=int), low: int, step: int, count: int, east_low: int
-) -> wp.int64:
-    """Largest distance [half counts] over the lower edges of a row of cells."""
-    worst = wp.int64(0)
-    for c in range(count):
-        at = low + step * c
-        right = wp.where(c == count - 1, east_low, at + step)
-        bottom = pool[(at + (step >> 1)) & _NO_SIGN]
-        worst = wp.max(worst, edge_distance(pool[at & _NO_SIGN], bottom, pool[right & _NO_SIGN]))
-    return worst
-
-
-@wp.func
 def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distances:
     """Compare one row of a piece's cells with the level below."""
     found = Distances()
@@ -255,15 +159,32 @@ def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distances:
 
 
 @wp.func
+def target_of(piece: Piece, row: int) -> int:
+    """Place in the pool of a row of a piece's posts."""
+    return offset_in_pool(piece.layer, 0, 0) + piece.place + row * _PITCH + piece.col
+
+
+@wp.func
 def sample_piece_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Extent:
     """Sample one row of a piece."""
     from_row = piece.from_row + piece.row_step * row
     from_col = piece.from_col + piece.col_step * piece.col
     source = offset_in_pool(piece.own, from_row, from_col)
-    target = offset_in_pool(piece.layer, 0, 0) + piece.place + row * _PITCH + piece.col
     if piece.col_step == 0:
-        return repeat_post(pool, source, target, piece.cols)
-    return sample_row(pool, source, target, piece.cols)
+        return repeat_post(pool, source, target_of(piece, row), piece.cols)
+    return sample_row(pool, source, target_of(piece, row), piece.cols)
+
+
+@wp.func
+def tell(extent: Extent, distances: Distances, i: int, tally_out: wp.array2d(dtype=wp.int64)):
+    """Write what was found out of row ``i``."""
+    tally_out[i, 0] = -wp.int64(extent.lowest)
+    tally_out[i, 1] = wp.int64(extent.highest)
+    tally_out[i, 2] = -wp.int64(extent.old_lowest)
+    tally_out[i, 3] = wp.int64(extent.old_highest)
+    tally_out[i, 4] = distances.cells
+    tally_out[i, 5] = distances.south
+    tally_out[i, 6] = distances.west
 
 
 @wp.kernel(enable_backward=False)
@@ -288,13 +209,7 @@ def carry_up(
             extent = sample_piece_row(pool, piece, row)
         if piece.measure == 1:
             distances = measure_row(pool, piece, row)
-    tally_out[i, 0] = -wp.int64(extent.lowest)
-    tally_out[i, 1] = wp.int64(extent.highest)
-    tally_out[i, 2] = -wp.int64(extent.old_lowest)
-    tally_out[i, 3] = wp.int64(extent.old_highest)
-    tally_out[i, 4] = distances.cells
-    tally_out[i, 5] = distances.south
-    tally_out[i, 6] = distances.west
+    tell(extent, distances, i, tally_out)
 
 
 @wp.kernel(enable_backward=False)

@@ -44,6 +44,8 @@ class Piece(NamedTuple):
         return (
             layers[self.block] if self.sample else -1,
             layers[own],
+            own.row,
+            own.col,
             layers[east],
             layers[north],
             layers[corner],

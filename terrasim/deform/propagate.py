@@ -131,15 +131,22 @@ class _Scratch:
 
 def _carry(terrain: Terrain, scratch: _Scratch, group: list[Piece], found: _Found) -> None:
     """Sample and measure pieces, tell the cache of their blocks' ranges."""
-    cache = terrain.cache
+    cache, level = terrain.cache, group[0].block.level
     needed = list(dict.fromkeys(key for piece in group for key in piece.needs))
     layers = dict(zip(needed, cache.hold(needed), strict=True))
     scratch.host[: len(group)] = [piece.record(layers) for piece in group]
     rows = len(group) * kernels.QUADRANT
+    kernel, shared = kernels.carry_up, [terrain.pool, scratch.pieces]
+    if level == 1 and terrain.lattice.factor > 1:
+        # A terrain without detail never compiles it.
+        from terrasim.kernels.propagate_detail import carry_detail_up
+
+        kernel = carry_detail_up
+        shared = [terrain.pool, terrain.resident, terrain.lattice, scratch.pieces]
     launch(
-        kernels.carry_up,
+        kernel,
         rows,
-        shared=[terrain.pool, scratch.pieces],
+        shared=shared,
         items=[scratch.place, scratch.tally],
         device=terrain.device,
         threads=terrain.threads,
