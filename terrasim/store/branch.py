@@ -6,22 +6,20 @@ Recovery is the newest checkpoint and the rows after it, done once more by whoev
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
-import apsw
-
-from terrasim.counts import Counts
 from terrasim.errors import InputError
-from terrasim.grid import Block, Grid, Indices
+from terrasim.grid import Block
 from terrasim.sources.source import BlockData
-from terrasim.store import journal, records
+from terrasim.store import journal
 from terrasim.store.checkpoint import has_detail, write_images
-from terrasim.store.edited import At, Collected
+from terrasim.store.edited import At
 from terrasim.store.epochs import lineage, now
 from terrasim.store.journal import JournalRow, NewRow, Tail
+from terrasim.store.keys import earlier, remember
 from terrasim.store.moves import (
     change_factor,
     forget_branch,
@@ -37,11 +35,14 @@ from terrasim.store.names import (
     BranchState,
     SnapshotState,
     branches,
+    one_state,
     snapshots,
 )
+from terrasim.store.newest import Newest
 from terrasim.store.opening import read_meta
 from terrasim.store.readers import Readers
-from terrasim.store.records import Checkpoint, Idem, Snapshot
+from terrasim.store.records import Checkpoint, Snapshot
+from terrasim.store.retention import first_needed, forget_keys, trim_epoch
 from terrasim.store.standing import Standing, stand
 from terrasim.store.store import StoreSource
 from terrasim.store.store_file import connect_reader
@@ -50,7 +51,7 @@ from terrasim.store.writer import Writer
 T = TypeVar("T")
 
 
-class Branch:
+class Branch(Newest):
     """A named line of states that is written to. Also a source: its newest checkpoint's heights.
 
     Reading is safe from several threads; appending and writing a checkpoint may go on at once.
@@ -72,36 +73,11 @@ class Branch:
             self._standing = stand(self._writer, self._readers, name, create)
             with self._readers.borrow() as db:
                 meta = read_meta(path, db)
-            self._view = StoreSource(meta, self._readers, self._standing.at)
+            super().__init__(StoreSource(meta, self._readers, self._standing.at))
         except BaseException:
             self._readers.close()
             self._writer.close()
             raise
-
-    @property
-    def grid(self) -> Grid:
-        """Placement of the level-0 posts."""
-        return self._view.grid
-
-    @property
-    def synthetic(self) -> str:
-        """What part of the heights is invented, in a few words; empty if none is."""
-        return self._view.synthetic
-
-    @property
-    def provenance(self) -> dict[str, object]:
-        """Where the imported heights come from, ready for JSON."""
-        return self._view.provenance
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        """What the import found."""
-        return self._view.summary
-
-    @property
-    def detail_factor(self) -> int:
-        """Detail posts to a base post; 1 if there is no detail."""
-        return self._standing.factor
 
     @property
     def last_seq(self) -> int:
@@ -122,18 +98,6 @@ class Branch:
     def readers(self) -> Readers:
         """Connections that read."""
         return self._readers
-
-    def posts(self, level: int, rows: Indices, cols: Indices) -> Counts:
-        """Heights of the newest checkpoint; see :meth:`terrasim.store.store.StoreSource.posts`."""
-        return self._newest(lambda view: view.posts(level, rows, cols))
-
-    def block(self, key: Block) -> BlockData:
-        """One block of the newest checkpoint: :meth:`terrasim.store.store.StoreSource.block`."""
-        return self._newest(lambda view: view.block(key))
-
-    def details(self, key: Block) -> list[Block]:
-        """Detail blocks within a level-0 block that are not zero at the newest checkpoint."""
-        return self._newest(lambda view: view.details(key))
 
     def append(
         self, op: bytes, *, idem: str | None = None, engine: str = "", summary: str = ""
@@ -171,14 +135,12 @@ class Branch:
             standing = self._standing
             tail, last = standing.tail, standing.last
             for row in rows:
-                seq = self._earlier(work.db, row)
+                seq = earlier(work.db, self.name, row)
                 if seq is None:
                     last += 1
                     seq, time = last, now()
                     tail = journal.write_row(work.db, tail, seq, time, row)
-                    if row.idem is not None:
-                        said = Idem(self.name, row.idem, seq, journal.op_hash(row.op), time)
-                        records.write(work.db, said)
+                    remember(work.db, self.name, row, seq, time)
                 found.append(seq)
             work.tail = tail
             work.done = lambda: self._stand(replace(standing, tail=tail, last=last))
@@ -334,6 +296,32 @@ class Branch:
             changed = change_factor(work.db, self._standing, self.grid, factor)
             work.done = lambda: self._stand(changed)
 
+    def trim(self, keep: int) -> int:
+        """Shorten the journal: keep the newest rows of every branch's and snapshot's history.
+
+        Rows that no checkpoint holds yet are kept in any case, callers' keys for a day.
+
+        Args:
+            keep: How many rows of each history; so many operations can be undone.
+
+        Returns:
+            How many rows were deleted.
+
+        Raises:
+            InputError: If the number is negative.
+            RunError: If it cannot be written; what was done stays done.
+        """
+        if keep < 0:
+            raise InputError(f"keep must not be negative, got {keep}")
+        with self.images_lock:
+            with self._readers.borrow() as db, one_state(db):
+                needed = first_needed(db, keep)
+            forget_keys(self._writer)
+            return sum(
+                trim_epoch(self._writer, epoch, first, lambda: self.last_seq)
+                for epoch, first in needed.items()
+            )
+
     def reopen(self) -> None:
         """Go on after the disk failed: what was acknowledged is checked, all else dropped.
 
@@ -368,33 +356,8 @@ class Branch:
 
     def _stand(self, standing: Standing) -> None:
         """Take a new place; readers see it from the next block on."""
-        if standing.at != self._standing.at:
-            self._view = self._view.at(standing.at)
         self._standing = standing
-
-    def _newest(self, read: Callable[[StoreSource], T]) -> T:
-        """Read; again if the state was dropped and collected while another came."""
-        while True:
-            view = self._view
-            try:
-                return read(view)
-            except Collected:
-                if view is self._view:
-                    raise
-
-    def _earlier(self, db: apsw.Connection, row: NewRow) -> int | None:
-        """The number under which the same was written before under the same key."""
-        if row.idem is None:
-            return None
-        found = records.read(db, Idem, self.name, row.idem)
-        if found is None:
-            return None
-        if found.op != journal.op_hash(row.op):
-            raise InputError(
-                f"the key {row.idem!r} stands for another operation, number {found.seq}; "
-                "use a new key"
-            )
-        return found.seq
+        self._follow(standing.at)
 
 
 def open_branch(

@@ -19,6 +19,7 @@ from terrasim.counts import HOLE, Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
+from terrasim.store.acknowledged import Claim
 from terrasim.store.opening import require_store
 from terrasim.store.pyramid import BlockRow, Rows, block_rows, level_errors
 from terrasim.store.store_file import BUILDING, writing
@@ -94,7 +95,7 @@ def build_store(
     path, started = Path(path), time.monotonic()
     if not callable(provenance):
         _require_json(provenance)
-    _require_place(path, replace)
+    require_place(path, replace)
     tell = progress or _silent
     with unfinished(path, BUILDING) as growing:
         with writing(path), StoreWriter(growing) as writer:
@@ -105,7 +106,7 @@ def build_store(
             writer.finish(grid, synthetic, said, {**summary, "levels": levels})
         size = growing.stat().st_size
         if path.exists():
-            _retire(path)
+            retire(path)
     tell(1.0, "done")
     return BuildReport(
         path=path,
@@ -189,15 +190,36 @@ def _require_json(provenance: object) -> None:
         raise InputError(f"the provenance must be JSON, got something else: {error}") from None
 
 
-def _require_place(path: Path, replace: bool) -> None:
+def require_place(path: Path, replace: bool) -> None:
+    """Refuse a path at which no store can be made.
+
+    Raises:
+        InputError: If there is something already, or no folder.
+    """
     if path.exists() and not replace:
         raise InputError(f"{path} exists; remove it or choose another name")
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {path.parent} for {path.name}; make it first")
 
 
-def _retire(path: Path) -> None:
-    """Refuse to replace what is no store or is in use; bring it back into one file."""
+def retire(path: Path) -> None:
+    """Refuse to replace what is no store or is in use; bring it back into one file.
+
+    Raises:
+        InputError: If it is no store.
+        RunError: If somebody uses it.
+    """
+    claim = Claim(path)
+    try:
+        _one_file(path)
+    except BaseException:
+        claim.release(well=False)
+        raise
+    # What was acknowledged of the old store says nothing of the new one.
+    claim.release(well=True)
+
+
+def _one_file(path: Path) -> None:
     with writing(path):
         old = apsw.Connection(str(path.absolute()), apsw.SQLITE_OPEN_READWRITE)
         try:

@@ -26,7 +26,15 @@ from terrasim.store.codec import StoreCorrupt
 from terrasim.store.edited import At, Base, Nodes, read_changed
 from terrasim.store.formula import same_source
 from terrasim.store.imported import Imported
-from terrasim.store.names import no_names, one_state, place_of, read_names
+from terrasim.store.kept_base import KeptBase
+from terrasim.store.names import (
+    branches,
+    no_names,
+    one_state,
+    place_of,
+    read_names,
+    snapshots,
+)
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
 from terrasim.store.readers import Readers
 from terrasim.store.store_file import SCHEMA_VERSION, connect_reader, reading, require_sqlite
@@ -61,8 +69,9 @@ class StoreSource:
         self.nodes = Nodes(readers, self._grid)
         """The trees of changed blocks."""
         self._formula: Source | None = same_source(meta["formula"]) if "formula" in meta else None
-        self.base: Base = self._formula or Imported(readers)
-        """Unchanged blocks."""
+        self._base: Base = self._formula or Imported(readers)
+        self.base = KeptBase(self._base)
+        """Unchanged blocks to compare changed ones with."""
         self._recent: OrderedDict[Block, Counts] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -140,7 +149,7 @@ class StoreSource:
             return changed
         if key.level == DETAIL:
             return BlockData(np.zeros((BLOCK, BLOCK), np.int32), 0, 0, 0)
-        return self.base.block(key)
+        return self._base.block(key)
 
     def details(self, key: Block) -> list[Block]:
         """Detail blocks within a level-0 block that are not zero everywhere, in order.
@@ -289,4 +298,7 @@ def info(path: str | Path) -> dict[str, Any]:
         "synthetic": store.synthetic,
         "provenance": store.provenance,
         "schema_version": store.schema_version,
+        "detail_factor": store.detail_factor,
+        "branches": [asdict(one) for one in branches(path).values()],
+        "snapshots": [asdict(one) for one in snapshots(path).values()],
     }
