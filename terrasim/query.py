@@ -134,7 +134,10 @@ def _launch(terrain: Terrain, call: Call, asked: Any, outputs: list[Any]) -> Non
 
 def _launch_quick(terrain: Terrain, call: Call, level: int, asked: Any, outputs: list[Any]) -> None:
     """The quick pass, then the general kernel on the few points it left."""
-    shared = [terrain.pool, terrain.resident, level_lattice(terrain.grid, level), terrain.used]
+    lattice = level_lattice(terrain.grid, level)
+    if level == 0 and terrain.detail.factor > 1:
+        lattice.detail = terrain.lattice.detail
+    shared = [terrain.pool, terrain.resident, lattice, terrain.used]
     _launch(terrain, (sample_inside, shared), asked, outputs)
     left = np.flatnonzero(outputs[-1].numpy() & PENDING)
     if left.size:
@@ -206,14 +209,19 @@ def _groups(
     order = np.argsort(which, kind="stable")
     ends = np.cumsum(np.bincount(which, minlength=len(ranges)))
     blocks: dict[Block, None] = {}
-    first = start = 0
+    cache = terrain.cache
+    first = start = fine = 0
     for i, (row0, row1, col0, col1) in enumerate(ranges.tolist()):
         new = [Block(level, r, c) for r in range(row0, row1 + 1) for c in range(col0, col1 + 1)]
-        added = sum(key not in blocks for key in new)
-        if blocks and len(blocks) + added > terrain.cache.capacity:
+        added = [key for key in new if key not in blocks]
+        detail = sum(cache.detail_count(key) for key in added)
+        full = len(blocks) + len(added) > cache.capacity or fine + detail > cache.detail_room
+        if blocks and full:
             yield order[start:first], list(blocks)
-            blocks, start = {}, first
+            blocks, start, fine = {}, first, 0
+            detail = sum(cache.detail_count(key) for key in new)
         blocks.update(dict.fromkeys(new))
+        fine += detail
         first = int(ends[i])
     yield order[start:first], list(blocks)
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import warp as wp
 
 from terrasim.arrays import Kind, kind_of, vectors
+from terrasim.cache.cache import Cache
 from terrasim.errors import InputError
 from terrasim.grid import Block
 from terrasim.kernels.addressing import BLOCK_SHIFT
@@ -112,7 +113,7 @@ def _walk(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> Any
     if late.size:
         state = rays.numpy()
     while late.size:
-        part, blocks = _most_waited_for(state[late], level, terrain.cache.capacity)
+        part, blocks = _most_waited_for(state[late], level, terrain.cache)
         terrain.cache.hold(blocks)
         some = late[part]
         going: Any = wp.array(state[some], dtype=Ray, device=terrain.device)
@@ -152,19 +153,25 @@ def _cast(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> Non
 
 
 def _most_waited_for(
-    rays: Any, level: int, capacity: int
+    rays: Any, level: int, cache: Cache
 ) -> tuple[npt.NDArray[np.int64], list[Block]]:
     """The blocks that most rays wait for, as many as fit, and which rays can go on with them."""
     row, col = rays["at_row"] >> level, rays["at_col"] >> level
     ends = np.stack([row, row + 1, col, col + 1], axis=1) >> BLOCK_SHIFT
     ranges, which, waiting = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
     blocks: dict[Block, None] = {}
+    fine = 0
     ready = np.zeros(len(ranges), dtype=np.bool_)
     for i in np.argsort(-waiting, kind="stable"):
         row0, row1, col0, col1 = ranges[i].tolist()
         new = [Block(level, r, c) for r in range(row0, row1 + 1) for c in range(col0, col1 + 1)]
-        if len(blocks) + sum(key not in blocks for key in new) <= capacity:
+        added = [key for key in new if key not in blocks]
+        detail = sum(cache.detail_count(key) for key in added)
+        fits = len(blocks) + len(added) <= cache.capacity and fine + detail <= cache.detail_room
+        # What does not fit even alone is for the cache to refuse.
+        if fits or not blocks:
             blocks.update(dict.fromkeys(new))
+            fine += detail
             ready[i] = True
     return np.flatnonzero(ready[which.reshape(-1)]), list(blocks)
 

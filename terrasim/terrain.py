@@ -9,8 +9,10 @@ from typing import Any, Literal, Self
 import warp as wp
 
 from terrasim.cache.cache import Cache
-from terrasim.cache.ground import Ground
-from terrasim.cache.pool import layers_for
+from terrasim.cache.detail_table import DetailTable
+from terrasim.cache.ground import Detailed, Ground
+from terrasim.cache.pool import detail_layers_for, layers_for
+from terrasim.detail.grid import DetailGrid
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.kernels.lattice import Lattice
@@ -20,6 +22,8 @@ Late = Literal["wait", "fallback"]
 
 DEFAULT_POOL_BYTES = 64 << 20
 """Bytes of the pool's posts unless the caller says otherwise: 256 blocks."""
+DEFAULT_DETAIL_POOL_BYTES = 64 << 20
+"""Bytes of the detail's posts unless the caller says otherwise: 256 blocks."""
 
 
 class Terrain:
@@ -37,6 +41,8 @@ class Terrain:
         threads: int = 1,
         loaders: int = 2,
         late: Late = "wait",
+        detail_factor: int | None = None,
+        detail_pool_bytes: int = DEFAULT_DETAIL_POOL_BYTES,
     ) -> None:
         """Open a terrain; the coarsest level is read at once, everything else when needed.
 
@@ -49,10 +55,15 @@ class Terrain:
             late: What a step does about ground that it requires and that is not there yet:
                 ``"wait"`` for it, so that results never depend on how fast a disk is, or
                 ``"fallback"`` to the finest resident level above. Then they do.
+            detail_factor: How many detail cells lie along a cell's side, where the ground is edited
+                finer than its posts; 1 for no detail. Without it the source's own, or 1.
+            detail_pool_bytes: Bytes of detail posts to hold on the device, beside ``pool_bytes``;
+                nothing without detail.
 
         Raises:
-            InputError: If the device is unknown, the pool cannot hold what it must, or a number of
-                threads is below 1.
+            InputError: If the device is unknown, a pool cannot hold what it must, a number of
+                threads is below 1, or the detail factor is no whole number, makes more posts than
+                can be numbered, or is not that of detail the source has.
         """
         if threads < 1 or loaders < 1:
             raise InputError(f"threads and loaders must be at least 1, got {threads}, {loaders}")
@@ -60,15 +71,25 @@ class Terrain:
         self.grid: Grid = source.grid
         self.device = open_device(device)
         self.threads = threads
-        self.ground = Ground(source)
+        self.detail = DetailGrid(self.grid, _factor_of(source, detail_factor))
+        """Numbering of the detail; of factor 1 if there is none."""
+        self.ground = Ground(source, self.detail)
         layers = layers_for(self.grid, pool_bytes)
         if late not in {"wait", "fallback"}:
             raise InputError(f"late must be 'wait' or 'fallback', got {late!r}")
         self.late = late
         self.cache = Cache(
-            self.grid, self.ground, layers, self.device, loaders, waits=late == "wait"
+            self.grid,
+            self.ground,
+            layers,
+            self.device,
+            loaders,
+            detail_layers=detail_layers_for(self.detail, detail_pool_bytes, layers),
+            waits=late == "wait",
         )
         self.lattice = lattice_of(self.grid)
+        if self.cache.detail_table is not None:
+            _add_detail(self.lattice, self.detail, self.cache.detail_table, layers)
         self.cache.before_reading = self.settle
         self.edits: Any = None
         """What is done to the ground, once something was; see :mod:`terrasim.deform.edits`."""
@@ -150,7 +171,25 @@ def lattice_of(grid: Grid) -> Any:
     lattice.last_row = grid.row + grid.rows - 2
     lattice.last_col = grid.col + grid.cols - 2
     lattice.levels = grid.levels
+    lattice.factor = 1
     return lattice
+
+
+def _add_detail(lattice: Any, detail: DetailGrid, table: DetailTable, layers: int) -> None:
+    """Say where the detail lies and where a pointer table has it."""
+    lattice.factor = detail.factor
+    lattice.row0, lattice.col0 = detail.row0, detail.col0
+    lattice.detail, lattice.layers, lattice.mask = table.start, layers, table.mask
+
+
+def _factor_of(source: Source, asked: int | None) -> int:
+    """The detail's factor: what is asked for, which must be the source's own if it has one."""
+    own = source.detail_factor if isinstance(source, Detailed) else 1
+    if asked is None:
+        return own
+    if own > 1 and asked != own:
+        raise InputError(f"detail_factor must be {own}, that of the source's detail, got {asked}")
+    return asked
 
 
 def open_device(name: str) -> Any:

@@ -9,14 +9,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from terrasim.cache.ground import Loaded
 from terrasim.grid import Block
-from terrasim.sources.source import BlockData
 
 
 class Loader:
     """A few threads, and the blocks they are reading."""
 
-    def __init__(self, read: Callable[[Block], BlockData], workers: int) -> None:
+    def __init__(self, read: Callable[[Block], Loaded], workers: int) -> None:
         """Start no thread until something is asked for.
 
         Args:
@@ -28,7 +28,7 @@ class Loader:
         _ = (np.zeros(1 << 16) + 1.0) - 1.0
         self._read = read
         self._threads = ThreadPoolExecutor(workers, thread_name_prefix="terrasim-load")
-        self._loading: dict[Block, Future[BlockData]] = {}
+        self._loading: dict[Block, Future[Loaded]] = {}
         self._lock = threading.Lock()
         self._read_ms = 0.0
         self.slots = 2 * workers
@@ -58,7 +58,7 @@ class Loader:
         """Blocks that have been read and wait to be taken, in the order they were asked for."""
         return [key for key, future in self._loading.items() if future.done()]
 
-    def take(self, key: Block) -> BlockData:
+    def take(self, key: Block) -> Loaded:
         """A block's data; waits for it.
 
         Raises:
@@ -86,7 +86,7 @@ class Loader:
         """End the threads; what has not begun is dropped, edits being packed are finished."""
         self._threads.shutdown(wait=True, cancel_futures=True)
 
-    def _timed_read(self, key: Block) -> BlockData:
+    def _timed_read(self, key: Block) -> Loaded:
         start = time.perf_counter()
         data = self._read(key)
         with self._lock:

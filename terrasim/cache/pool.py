@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from terrasim.counts import Counts
+from terrasim.detail.grid import DetailGrid
 from terrasim.errors import InputError
 from terrasim.grid import Grid, Indices
 from terrasim.kernels.addressing import BLOCK
@@ -17,6 +18,8 @@ BLOCK_BYTES = 4 * BLOCK_POSTS
 """Bytes of one layer's posts."""
 MAX_LAYERS = 2**31 // BLOCK_POSTS - 1
 """Places in the pool are int32, so it holds less than 8 GiB."""
+LEAST_DETAIL = 4
+"""Fewest detail blocks a pool may hold: those that meet at a corner."""
 STAGING_SLOTS = 8
 """Pinned buffers through which blocks travel to a CUDA device."""
 
@@ -46,6 +49,36 @@ def layers_for(grid: Grid, pool_bytes: int) -> int:
             f"{least * BLOCK_BYTES} bytes"
         )
     return layers
+
+
+def detail_layers_for(detail: DetailGrid, detail_pool_bytes: int, layers: int) -> int:
+    """Number of layers for detail blocks, never more than there can be; none for a factor of 1.
+
+    Args:
+        detail: Numbering of the detail.
+        detail_pool_bytes: Bytes of the detail's posts.
+        layers: Layers of the pool for blocks of levels.
+
+    Raises:
+        InputError: If the bytes are none, hold too few blocks, or pass what an int32 can address.
+    """
+    if detail.factor == 1:
+        return 0
+    span = detail.blocks
+    total = (span.row1 - span.row0) * (span.col1 - span.col0)
+    found = min(detail_pool_bytes // BLOCK_BYTES, total)
+    if found > MAX_LAYERS - layers:
+        raise InputError(
+            f"detail_pool_bytes must be at most {(MAX_LAYERS - layers) * BLOCK_BYTES}, what can "
+            f"be addressed beside pool_bytes, got {detail_pool_bytes}"
+        )
+    least = min(total, LEAST_DETAIL)
+    if found < least:
+        raise InputError(
+            f"detail_pool_bytes must be at least {least * BLOCK_BYTES}, the bytes of {least} "
+            f"blocks, got {detail_pool_bytes}"
+        )
+    return int(found)
 
 
 class Pool:

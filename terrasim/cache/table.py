@@ -51,15 +51,26 @@ class Table:
     memory. A page exists while a block of it is present.
     """
 
-    def __init__(self, grid: Grid, layers: int, device: Any) -> None:
+    def __init__(self, grid: Grid, layers: int, device: Any, section: int = 0) -> None:
         """Lay the table out with nothing present.
 
         Args:
             grid: The terrain's grid.
             layers: Most blocks that are ever present at once.
             device: Warp device.
+            section: Entries behind the table's own, for the detail.
+
+        Raises:
+            InputError: If an int32 cannot address them.
         """
-        host = np.full(table_entries(grid, layers), ABSENT, dtype=np.int32)
+        self.section = table_entries(grid, layers)
+        """Where the entries behind the table's own begin."""
+        if self.section + section > _MOST_ENTRIES:
+            raise InputError(
+                f"a pointer table of {self.section + section} entries is needed: at most "
+                f"{_MOST_ENTRIES} can be addressed; take a smaller detail_pool_bytes"
+            )
+        host = np.full(self.section + section, ABSENT, dtype=np.int32)
         start = HEADER * grid.levels
         for level in range(grid.levels):
             row0, col0, rows, cols = _directory_shape(grid, level)
@@ -68,12 +79,12 @@ class Table:
         host[HEADER * grid.levels : start] = start  # the first page stays empty and serves all
         first = start + _PAGE_ENTRIES
         self._empty_page = start
-        self._free = list(range(len(host) - _PAGE_ENTRIES, first - 1, -_PAGE_ENTRIES))
+        self._free = list(range(self.section - _PAGE_ENTRIES, first - 1, -_PAGE_ENTRIES))
         self._population: dict[int, int] = {}
         self._changed: dict[int, int] = {}
         self._cuda = bool(device.is_cuda)
         self.entries: Any = wp.array(host, dtype=wp.int32, device=device)
-        """The table on the device, int32, shape ``(table_entries,)``."""
+        """The table on the device, int32, shape ``(table_entries + section,)``."""
         # On the CPU this is the device's memory itself.
         self._host = host if self._cuda else self.entries.numpy()
 
@@ -107,6 +118,14 @@ class Table:
     def get(self, key: Block) -> int:
         """Layer of a block, or ``ABSENT``."""
         return int(self._host[self._entry(int(self._host[self._directory_entry(key)]), key)])
+
+    def at(self, entry: int) -> int:
+        """An entry as the host last wrote it."""
+        return int(self._host[entry])
+
+    def put(self, entry: int, value: int) -> None:
+        """Write an entry behind the table's own."""
+        self._write(entry, value)
 
     def publish(self) -> None:
         """Send what changed to the device, on its current stream."""
