@@ -1,0 +1,248 @@
+"""Ground in memory that slumps: a rectangle of posts, worked on in parts that fit a cache.
+
+Each part is worked on with a margin in scratch arrays for one iteration, and changes only its own
+plots: how the parts are cut changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from terrasim.kernels import relaxation as kernels
+from terrasim.kernels.relaxation import PLOT, SWEEPS
+from terrasim.launch import launch
+
+Heights = npt.NDArray[np.float64]
+Plots = npt.NDArray[np.bool_]
+
+START = 3.0
+"""How much steeper than its angle of repose a cell must be to begin to slump [counts a post].
+
+Rounding to counts makes a slope steeper by at most the root of two; more keeps what one iteration
+rounds from waking the next.
+"""
+STEP = 0.2
+"""Part of drop and excess that flows along an edge in a sweep; 0.25 would swing for ever."""
+CARRY = 0.75
+"""How much of what a steady excess would have brought a flow up to it may reach."""
+FINEST = 2**20
+"""Parts of a count of 10 micrometres at most: heights in parts are then exact in a float64."""
+PARTS = 4096
+"""Parts of a count that flows are counted in where that is not too fine."""
+PART_PLOTS = 14
+"""Plots along a side of a part: with its margin 512 posts, 7 MB."""
+
+
+@dataclass(frozen=True)
+class Repose:
+    """How steep ground stays."""
+
+    angle_deg: float
+    """Angle of repose [degrees], 0 to 89."""
+    spacing: float
+    """Distance between neighbouring posts [m]."""
+    per_metre: float
+    """Counts in a metre."""
+
+    @property
+    def slope(self) -> float:
+        """Difference of neighbouring posts at the angle of repose [counts]."""
+        return math.tan(math.radians(self.angle_deg)) * self.spacing * self.per_metre
+
+    @property
+    def parts(self) -> int:
+        """Parts of a count that flows are counted in: a power of two."""
+        finer = max(1, math.ceil(self.per_metre / 100_000))
+        return min(PARTS, 1 << max(0, (FINEST // finer).bit_length() - 1))
+
+
+class Moved(NamedTuple):
+    """What an iteration did."""
+
+    moved: int
+    """Sum of what flowed along all edges [counts]."""
+    removed: int
+    """Sum of the falls [counts]."""
+    added: int
+    """Sum of the rises [counts]."""
+    posts: int
+    """Posts whose height changed."""
+    awake: Plots
+    """Plots to or from which something flowed, shape as the plots given."""
+
+
+class Slump:
+    """A rectangle of posts on the device."""
+
+    def __init__(
+        self,
+        heights: Heights,
+        repose: Repose,
+        *,
+        device: Any,
+        threads: int = 1,
+        part: int = PART_PLOTS,
+    ) -> None:
+        """Send the posts to the device.
+
+        Args:
+            heights: Heights [counts], whole numbers, NaN for holes; rows and columns are multiples
+                of ``PLOT``. Plots along the rectangle's edge must stay asleep.
+            repose: How steep the ground stays.
+            device: Warp device.
+            threads: CPU threads a launch may be split over.
+            part: Plots along a side of what is worked on at once, at least 1.
+        """
+        self.shape = heights.shape[0] // PLOT, heights.shape[1] // PLOT
+        """Plots along y and along x."""
+        self._device, self._threads, self._part = device, threads, part
+        run = 1 if device.is_cuda else PLOT
+        self._runs = PLOT * PLOT // run
+        self._sheet = _field(heights.shape[1], run, repose)
+        # Beyond the margin of a part its outermost posts read what need not be known.
+        self._across = min(part, max(self.shape)) + 4
+        self._field = _field(self._across * PLOT, run, repose)
+        self._count = self._array(heights.ravel(), wp.float64)
+        self._gain = self._zeros(heights.size, wp.float64)
+        plots = self._across**2
+        size = plots * PLOT * PLOT
+        self._height = self._zeros(size, wp.float64)
+        self._flows = [self._zeros(size, wp.float32) for _ in range(4)]
+        self._excess = self._zeros(size, wp.float32)
+        self._items = self._array(np.arange(plots * self._runs, dtype=np.int32), wp.int32)
+
+    def heights(self) -> Heights:
+        """Heights as they are now [counts], shape ``(rows, cols)``; NaN for holes."""
+        found: Heights = self._count.numpy().reshape(self.shape[0] * PLOT, self.shape[1] * PLOT)
+        return found
+
+    def iterate(self, awake: Plots, own: Plots | None = None) -> Moved:
+        """One iteration.
+
+        Args:
+            awake: Plots in which something may be too steep, shape ``shape``.
+            own: Plots that may change; without, all within reach of those awake.
+        """
+        near = widened(awake)
+        mine = near if own is None else near & own
+        flags = self._array(np.pad(awake, 1).astype(np.int32), wp.int32)
+        found = np.zeros(self.shape, dtype=np.bool_)
+        sums = np.zeros(4, dtype=np.int64)
+        for row, col in _parts(mine, self._part):
+            rows, cols = slice(row, row + self._part), slice(col, col + self._part)
+            inner = np.zeros_like(mine)
+            inner[rows, cols] = mine[rows, cols]
+            rows_of, cols_of = np.nonzero(inner)
+            around = np.argwhere(widened(inner) & near)
+            tally = self._work(np.stack([rows_of, cols_of], axis=1), around, (row, col), flags)
+            found[rows_of, cols_of] = tally["awake"].any(axis=1)
+            sums += [int(tally[name].sum(dtype=np.int64)) for name in _SUMS]
+        at = np.argwhere(mine)
+        self._launch(kernels.settle, at, [self._sheet, self._starts(at), self._gain], [self._count])
+        moved, removed, added, posts = sums.tolist()
+        return Moved(moved, removed, added, posts, found)
+
+    def _work(
+        self, inner: npt.NDArray[Any], around: npt.NDArray[Any], corner: tuple[int, int], flags: Any
+    ) -> npt.NDArray[Any]:
+        """All sweeps of a part; what flowed becomes the gain of its inner plots."""
+        offset = np.subtract((2, 2), corner)
+        field, width = self._field, self._sheet.width
+        plots = self._starts(around + offset, self._across)
+        height, excess, flows = self._height, self._excess, self._flows
+        self._launch(
+            kernels.begin,
+            around,
+            [field, plots, width, self._starts(around), self._count],
+            [height, *flows, excess],
+        )
+        for sweep in range(1, SWEEPS + 1):
+            self._launch(kernels.find_excess, around, [field, plots, height], [excess])
+            shared = [field, plots, height, excess, _pace(sweep)]
+            self._launch(kernels.find_flows, around, shared, flows)
+            self._launch(kernels.move, around, [field, plots, *flows[:2]], [height])
+        tally: Any = wp.empty(len(inner) * self._runs, dtype=kernels.Tally, device=self._device)
+        at = self._array(((inner + 1) * PLOT).astype(np.int32), wp.vec2i)
+        launch(
+            kernels.finish,
+            len(inner) * self._runs,
+            shared=[
+                *(field, self._starts(inner + offset, self._across), *flows[2:], flags, at),
+                *(width, self._starts(inner), self._gain),
+            ],
+            items=[self._items[: len(inner) * self._runs], tally],
+            device=self._device,
+            threads=self._threads,
+        )
+        found: npt.NDArray[Any] = tally.numpy().reshape(len(inner), self._runs)
+        return found
+
+    def _launch(
+        self, kernel: Any, plots: npt.NDArray[Any], shared: list[Any], changed: list[Any]
+    ) -> None:
+        """Launch over the runs of some plots; what is changed comes last among the arguments."""
+        runs = len(plots) * self._runs
+        launch(
+            kernel,
+            runs,
+            shared=[*shared, *changed],
+            items=[self._items[:runs]],
+            device=self._device,
+            threads=self._threads,
+        )
+
+    def _starts(self, plots: npt.NDArray[Any], across: int | None = None) -> Any:
+        """First posts of plots in an array that is ``across`` plots wide."""
+        width = (across or self.shape[1]) * PLOT
+        return self._array(
+            (plots[:, 0] * (PLOT * width) + plots[:, 1] * PLOT).astype(np.int32), wp.int32
+        )
+
+    def _array(self, values: npt.NDArray[Any], dtype: Any) -> Any:
+        return wp.array(values, dtype=dtype, device=self._device)
+
+    def _zeros(self, size: int, dtype: Any) -> Any:
+        return wp.zeros(size, dtype=dtype, device=self._device)
+
+
+_SUMS = ("moved", "removed", "added", "posts")
+
+
+def widened(plots: Plots) -> Plots:
+    """Plots and the eight around each, as far as the map goes."""
+    padded = np.pad(plots, 1)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    found: Plots = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+    return found
+
+
+def _parts(plots: Plots, part: int) -> Iterator[tuple[int, int]]:
+    """First plots of the parts that hold any of the plots."""
+    for row in range(0, plots.shape[0], part):
+        for col in range(0, plots.shape[1], part):
+            if plots[row : row + part, col : col + part].any():
+                yield row, col
+
+
+def _pace(sweep: int) -> Any:
+    pace: Any = kernels.Pace()
+    pace.keep = (sweep - 1) / sweep
+    # Excess is summed over the two cells beside an edge: half of each counts.
+    pace.gain = 0.5 * STEP * (2 * sweep - 1) / sweep
+    pace.limit = 0.5 * STEP * sweep * CARRY
+    return pace
+
+
+def _field(width: int, run: int, repose: Repose) -> Any:
+    field: Any = kernels.Field()
+    field.width, field.run, field.parts = width, run, repose.parts
+    field.repose = repose.slope * repose.parts
+    field.start = ((repose.slope + START) * repose.parts) ** 2
+    return field
