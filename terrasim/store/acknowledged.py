@@ -71,7 +71,7 @@ class Claim:
 
     def release(self, *, well: bool) -> None:
         """Give the lock back; without a note if all is in the store."""
-        if well:
+        if well or self.note is None:
             with suppress(OSError):
                 beside(self._path, ENDING).unlink()
         os.close(self._file)

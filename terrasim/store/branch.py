@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Self, TypeVar
 
-from terrasim.errors import InputError
+from terrasim.errors import InputError, RunError
 from terrasim.grid import Block
 from terrasim.sources.source import BlockData
 from terrasim.store import journal
@@ -341,9 +342,9 @@ class Branch(Newest):
                 return
             self._closed = True
             try:
-                if self._writer.sound:
-                    with self._writer.transaction() as work:
-                        note_tail(work.db, self._standing)
+                # What was acknowledged is on the disk in any case; this shows if it is lost later.
+                with suppress(RunError), self._writer.transaction() as work:
+                    note_tail(work.db, self._standing)
             finally:
                 self._readers.close()
                 self._writer.close()

@@ -1,4 +1,4 @@
-"""Callers' keys: the same operation under the same key is written once, however often it is sent."""
+"""Callers' keys: the same operation under the same key is written once."""
 
 from __future__ import annotations
 

@@ -82,11 +82,6 @@ class Writer:
             self._claim.release(well=False)
             raise
 
-    @property
-    def sound(self) -> bool:
-        """Whether the disk has not failed."""
-        return not self._failure
-
     def note(self, tail: Tail) -> None:
         """Note the newest journal row, which is on the disk."""
         with self.lock:
