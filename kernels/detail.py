@@ -23,8 +23,8 @@ COL_FACTOR = 0x85EBCA77
 """What its column is multiplied by."""
 HASH_SHIFT = 15
 """How far the product's upper bits are brought down."""
-NO_GROUND = -(2**63)
-"""Total of a detail post without ground: the smallest int64."""
+NO_GROUND = -(2**63 - 1)
+"""Total of a detail post without ground."""
 
 _BLOCK_SHIFT = wp.constant(8)
 _LAST = wp.constant(255)
@@ -125,6 +125,29 @@ def fine_at(table: wp.array(dtype=int), lattice: Lattice, row: int, col: int) ->
 
 
 @wp.func
+def total_of(count: int) -> wp.int64:
+    """A post's count as a whole number that can hold totals; ``NO_GROUND`` for a hole."""
+    return wp.where(count == _HOLE, _NO_GROUND, wp.int64(count))
+
+
+@wp.func
+def weighed(
+    factor: int, near: wp.int64, mid: wp.int64, far: wp.int64, larger: int, smaller: int
+) -> wp.int64:
+    """:func:`total_between` of posts that are whole numbers already."""
+    first = wp.int64(factor - larger)
+    second = wp.int64(larger - smaller)
+    third = wp.int64(smaller)
+    if (
+        (first > _ZERO and near == _NO_GROUND)
+        or (second > _ZERO and mid == _NO_GROUND)
+        or (third > _ZERO and far == _NO_GROUND)
+    ):
+        return _NO_GROUND
+    return first * near + second * mid + third * far
+
+
+@wp.func
 def total_between(
     factor: int, near: int, mid: int, far: int, larger: int, smaller: int
 ) -> wp.int64:
@@ -133,16 +156,7 @@ def total_between(
     The post lies ``larger`` detail cells along the triangle's first leg and ``smaller`` along the
     second. ``NO_GROUND`` if a hole counts in it.
     """
-    first = wp.int64(factor - larger)
-    second = wp.int64(larger - smaller)
-    third = wp.int64(smaller)
-    if (
-        (first > _ZERO and near == _HOLE)
-        or (second > _ZERO and mid == _HOLE)
-        or (third > _ZERO and far == _HOLE)
-    ):
-        return _NO_GROUND
-    return first * wp.int64(near) + second * wp.int64(mid) + third * wp.int64(far)
+    return weighed(factor, total_of(near), total_of(mid), total_of(far), larger, smaller)
 
 
 @wp.func

@@ -11,6 +11,7 @@ from terrasim.kernels.lattice import Lattice
 
 _BLOCK_SHIFT = wp.constant(8)
 _LAST = wp.constant(255)
+_MOST = wp.constant(2**31 - 1)
 # Indices of posts stay within 2^30, so that the difference of two fits an int32.
 _FARTHEST = wp.constant(wp.float64(2**30 - 1))
 
@@ -145,9 +146,14 @@ def leap(ray: Ray, level: int, highest: int) -> Ray:
     """The ray beyond the cells of its block that it clears, or as it is if that is not worth it.
 
     It stops short of cells with posts in other blocks, and a count above the block's highest post.
+    At the end of what an int32 holds that is no bound: detail may lie above it.
     """
     clear = ray.height + ray.dh * ray.t - (wp.float64(highest) + wp.float64(1.0))
-    if clear <= wp.float64(0.0) or (ray.known == 1 and ray.above <= wp.float64(0.0)):
+    if (
+        clear <= wp.float64(0.0)
+        or highest == _MOST
+        or (ray.known == 1 and ray.above <= wp.float64(0.0))
+    ):
         return ray
     area = block_area(ray, level)
     if ray.at_row >= area.row1 or ray.at_col >= area.col1:

@@ -9,7 +9,8 @@ through, and where two levels meet with a gap, the gap's wall is hit.
 import warp as wp
 
 from terrasim.kernels.addressing import layer_of, offset_in_pool, post_or_absent
-from terrasim.kernels.facet import Facet, normal_of, plane_of
+from terrasim.kernels.detail import NO_GROUND, total_of
+from terrasim.kernels.facet import Facet, normal_of
 from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.ray import Ray
 
@@ -25,6 +26,8 @@ _LAST = wp.constant(255)
 _PITCH = wp.constant(256)
 _MISSED = wp.constant(MISSED)
 _FROM_BELOW = wp.constant(FROM_BELOW)
+_IN_HOLE = wp.constant(2)
+_NO_GROUND = wp.constant(wp.int64(NO_GROUND))
 
 
 @wp.struct
@@ -47,12 +50,14 @@ class Hit:
 
 @wp.struct
 class Corners:
-    """The four posts of a cell."""
+    """The four posts of a cell, of a level or of the detail; ``NO_GROUND`` where one is a hole."""
 
-    near: int
-    right: int
-    left: int
-    far: int
+    near: wp.int64
+    right: wp.int64
+    left: wp.int64
+    far: wp.int64
+    factor: wp.float64
+    """What their heights are in a count: 1, or the detail's factor."""
     level: int
     layer: int
     """Layer of the near one; -1 where one of them is not resident."""
@@ -65,21 +70,22 @@ def corners_of(
     """Posts (x-, y-), (x+, y-), (x-, y+), (x+, y+) of a level's cell."""
     corners = Corners()
     corners.level = level
+    corners.factor = wp.float64(1.0)
     corners.layer = layer_of(table, level, row >> _SHIFT, col >> _SHIFT)
     if corners.layer >= 0 and (row & _LAST) != _LAST and (col & _LAST) != _LAST:
         place = offset_in_pool(corners.layer, row, col)
-        corners.near = pool[place]
-        corners.right = pool[place + 1]
-        corners.left = pool[place + _PITCH]
-        corners.far = pool[place + _PITCH + 1]
+        corners.near = total_of(pool[place])
+        corners.right = total_of(pool[place + 1])
+        corners.left = total_of(pool[place + _PITCH])
+        corners.far = total_of(pool[place + _PITCH + 1])
     elif corners.layer >= 0:
         right = post_or_absent(pool, table, level, row, col + 1)
         left = post_or_absent(pool, table, level, row + 1, col)
         far = post_or_absent(pool, table, level, row + 1, col + 1)
-        corners.near = pool[offset_in_pool(corners.layer, row, col)]
-        corners.right = right[0]
-        corners.left = left[0]
-        corners.far = far[0]
+        corners.near = total_of(pool[offset_in_pool(corners.layer, row, col)])
+        corners.right = total_of(right[0])
+        corners.left = total_of(left[0])
+        corners.far = total_of(far[0])
         corners.layer = wp.where(wp.min(right[1], wp.min(left[1], far[1])) < 0, -1, corners.layer)
     return corners
 
@@ -98,9 +104,17 @@ def facet_along(corners: Corners, ray: Ray, t: wp.float64, middle: wp.float64) -
     mid = wp.where(right == 1, corners.right, corners.left)
     larger = wp.where(right == 1, u, v)
     smaller = wp.where(right == 1, v, u)
-    facet = plane_of(corners.near, mid, corners.far, right, larger, smaller)
+    facet = Facet()
     facet.level = corners.level
     facet.layer = corners.layer
+    if corners.near == _NO_GROUND or mid == _NO_GROUND or corners.far == _NO_GROUND:
+        facet.state = _IN_HOLE
+        return facet
+    first = wp.float64(mid - corners.near)
+    second = wp.float64(corners.far - mid)
+    facet.height = wp.float64(corners.near) + (first * larger + second * smaller)
+    facet.du = wp.where(right == 1, first, second)
+    facet.dv = wp.where(right == 1, second, first)
     return facet
 
 
@@ -151,7 +165,7 @@ def hit_at(lattice: Lattice, corners: Corners, ray: Ray, t: wp.float64, middle: 
     hit.point = wp.vec3d(
         lattice.x + (wp.float64(ray.col) + (ray.u + ray.du * t)) * lattice.spacing,
         lattice.y + (wp.float64(ray.row) + (ray.v + ray.dv * t)) * lattice.spacing,
-        lattice.z + facet.height * wp.float64(1.0e-5),
+        lattice.z + facet.height / corners.factor * wp.float64(1.0e-5),
     )
     return hit
 

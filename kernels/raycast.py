@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from terrasim.kernels.detail import fine_at
 from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.ray import (
     Ray,
@@ -14,12 +15,13 @@ from terrasim.kernels.ray import (
     within,
 )
 from terrasim.kernels.ray_cell import MISSED, WAITING, Corners, Hit, corners_of, search_cell
+from terrasim.kernels.ray_detail import through_detail
 
 _COARSER = wp.constant(4)
 _MISSED = wp.constant(MISSED)
 _WAITING = wp.constant(WAITING)
-# A hair beyond what an int32 holds: no ground is outside.
-_MOST = wp.constant(wp.float64(2147483649.0))
+# Beyond what an int32 holds, with as much again for detail: no ground is outside.
+_MOST = wp.constant(wp.float64(4294967298.0))
 
 
 @wp.struct
@@ -162,7 +164,10 @@ def cast(
         coarser = wp.where(corners.level > walk.level, _COARSER, coarser)
         ahead = leap(ray, corners.level, highest[corners.layer])
         if ahead.t == ray.t:
-            ahead, hit = stepped(lattice, corners, ray)
+            if corners.level == 0 and fine_at(table, lattice, ray.at_row, ray.at_col) == 1:
+                ahead, hit = through_detail(pool, table, highest, lattice, corners, ray)
+            else:
+                ahead, hit = stepped(lattice, corners, ray)
             hit.error = wp.float64(error[corners.layer]) * wp.float64(1.0e-5)
         ray = ahead
         going = wp.where(hit.state == _MISSED and going_on(lattice, ray), 1, 0)
