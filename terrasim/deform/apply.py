@@ -17,13 +17,15 @@ import numpy as np
 
 from terrasim.deform.anchored import Anchor
 from terrasim.deform.batch import Batch
-from terrasim.deform.binning import Touch, groups, touch
+from terrasim.deform.binning import Touch, group, touch
+from terrasim.deform.fitting import Fitting, Part
 from terrasim.deform.ledger import Ledger, LedgerByStamp
 from terrasim.deform.placing import Placed, place
-from terrasim.deform.propagate import Touched, propagate
+from terrasim.deform.propagate import propagate
 from terrasim.deform.stamps import Stamp
-from terrasim.deform.tallies import ledger_of, note_base
+from terrasim.deform.tallies import ledger_of, note
 from terrasim.deform.target import Target, target_of
+from terrasim.deform.touched import Touched
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block
 from terrasim.kernels.addressing import BLOCK
@@ -82,12 +84,14 @@ def apply_stamps(
             that the stamps touch; else the error says that the terrain must be opened again.
     """
     runs = _prepare(terrain, stamps, anchor, undo=undo, by_stamp=by_stamp)
-    _bring_all(terrain, runs)
+    fitting = Fitting(terrain, [run.found for run in runs])
+    parts = [fitting.parts(run.found, _most(run, by_stamp)) for run in runs]
+    _bring_all(terrain, fitting)
     edit = _Edit(terrain, undo, by_stamp)
     edit.ledger = Ledger(outside=len(stamps) - sum(len(run.placed.numbers) for run in runs))
     try:
-        for run in runs:
-            edit.make(run)
+        for run, own in zip(runs, parts, strict=True):
+            edit.make(run, own)
         propagate(terrain, edit.touched)
     except Exception as error:
         if not edit.begun:
@@ -164,19 +168,24 @@ def _in_order(stamps: Sequence[Stamp]) -> list[tuple[bool, list[int]]]:
     return [(detail, list(numbers)) for detail, numbers in runs]
 
 
-def _bring_all(terrain: Terrain, runs: list[Run]) -> None:
+def _most(run: Run, by_stamp: bool) -> int:
+    """Blocks to change in one launch."""
+    return max(1, min(GROUP, MAX_SHARES // (BLOCK * max(run.busiest, 1)) if by_stamp else GROUP))
+
+
+def _bring_all(terrain: Terrain, fitting: Fitting) -> None:
     """Bring in all blocks that will change if the pool holds them: then no read can fail later."""
-    wanted: dict[Block, None] = {}
-    for run in runs:
-        if len(run.found.row) > terrain.cache.capacity:
-            return
-        for key in run.found.blocks():
-            wanted[key] = None
-            # The coarsest level is always there.
-            for level in range(1, terrain.grid.top):
-                wanted[Block(level, key.row >> level, key.col >> level)] = None
-    if len(wanted) <= terrain.cache.capacity:
-        terrain.cache.hold(wanted)
+    needed = fitting.all_at_once()
+    if needed is None:
+        return
+    # The coarsest level is always there.
+    above = {
+        Block(level, key.row >> level, key.col >> level)
+        for key in needed
+        for level in range(1, terrain.grid.top)
+    }
+    if terrain.grid.top > 0 and len(needed) + len(above) <= terrain.cache.capacity:
+        terrain.cache.hold(sorted(needed | above))
 
 
 class _Edit:
@@ -191,16 +200,20 @@ class _Edit:
         self._by_stamp = by_stamp
         self._shares: dict[int, tuple[int, int, int]] = {}
 
-    def make(self, run: Run) -> None:
+    def make(self, run: Run, parts: list[Part]) -> None:
         """Change all blocks of a run."""
         terrain = self._terrain
         batch = Batch(terrain, run.placed, run.target, undo=self._undo, by_stamp=self._by_stamp)
-        for group in groups(run.found, run.placed.records, self._most(run)):
-            layers = terrain.cache.hold(group.keys)
+        for part in parts:
+            blocks = group(run.found, run.placed.records, part.first, part.last)
+            if run.target.level < 0:
+                layers = terrain.cache.hold_details(blocks.keys, part.beside)
+            else:
+                layers = terrain.cache.hold(blocks.keys)
             self.begun = True
-            rows = batch.run(group, layers)
+            rows = batch.run(blocks, layers)
             self.ledger += ledger_of(rows, run.target.unit)
-            self.touched += note_base(terrain, group.keys, rows, run.target)
+            self.touched += note(terrain, blocks.keys, rows, run.target)
         if batch.shares is not None:
             for number, share in zip(
                 run.placed.numbers.tolist(), batch.shares.tolist(), strict=True
@@ -215,12 +228,3 @@ class _Edit:
             removed, added, own = self._shares.get(number, (0, 0, unit))
             shares.append((removed * (unit // own), added * (unit // own)))
         return LedgerByStamp(**vars(self.ledger), stamps=tuple(shares))
-
-    def _most(self, run: Run) -> int:
-        """Blocks to change in one launch."""
-        most = GROUP
-        if run.target.level < self._terrain.grid.top:
-            most = min(most, self._terrain.cache.capacity)
-        if self._by_stamp:
-            most = min(most, MAX_SHARES // (BLOCK * max(run.busiest, 1)))
-        return max(1, most)

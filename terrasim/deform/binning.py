@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,21 +85,19 @@ def touch(records: Records, level: int, span: Span, factor: int = 1) -> Touch:
     return Touch(level, row[first], col[first], np.append(begin, len(order)), stamp[order])
 
 
-def groups(found: Touch, records: Records, most: int) -> Iterator[Group]:
-    """The blocks, ``most`` at a time, each with its stamps in order."""
-    for first in range(0, len(found.row), most):
-        last = min(first + most, len(found.row))
-        begin, end = int(found.begin[first]), int(found.begin[last])
-        work = blank(BlockStamps, last - first)
-        work["row"], work["col"] = found.row[first:last], found.col[first:last]
-        work["begin"] = found.begin[first:last] - begin
-        work["end"] = found.begin[first + 1 : last + 1] - begin
-        edge = np.repeat(found.row[first:last] * BLOCK, work["end"] - work["begin"])
-        numbers = found.stamps[begin:end]
-        listed = np.empty((end - begin, 4), dtype=np.int32)
-        listed[:, 0] = numbers
-        listed[:, 1] = np.maximum(records["row0"][numbers], edge)
-        listed[:, 2] = np.minimum(records["row1"][numbers], edge + BLOCK - 1)
-        rows = listed[:, 2].astype(np.int64) - listed[:, 1] + 1
-        listed[:, 3] = np.cumsum(rows) - rows
-        yield Group(found.blocks(first, last), work, listed)
+def group(found: Touch, records: Records, first: int, last: int) -> Group:
+    """Touched blocks ``first`` up to before ``last``, each with its stamps in order."""
+    begin, end = int(found.begin[first]), int(found.begin[last])
+    work = blank(BlockStamps, last - first)
+    work["row"], work["col"] = found.row[first:last], found.col[first:last]
+    work["begin"] = found.begin[first:last] - begin
+    work["end"] = found.begin[first + 1 : last + 1] - begin
+    edge = np.repeat(found.row[first:last] * BLOCK, work["end"] - work["begin"])
+    numbers = found.stamps[begin:end]
+    listed = np.empty((end - begin, 4), dtype=np.int32)
+    listed[:, 0] = numbers
+    listed[:, 1] = np.maximum(records["row0"][numbers], edge)
+    listed[:, 2] = np.minimum(records["row1"][numbers], edge + BLOCK - 1)
+    rows = listed[:, 2].astype(np.int64) - listed[:, 1] + 1
+    listed[:, 3] = np.cumsum(rows) - rows
+    return Group(found.blocks(first, last), work, listed)

@@ -12,7 +12,7 @@ from terrasim.counts import MAX_COUNT, Counts
 from terrasim.deform.ledger import Ledger
 from terrasim.deform.placing import blank
 from terrasim.deform.propagate import Touched, propagate
-from terrasim.deform.tallies import ledger_of, note_base
+from terrasim.deform.tallies import ledger_of, note
 from terrasim.deform.target import Target, target_of
 from terrasim.errors import InputError
 from terrasim.grid import Block
@@ -99,7 +99,7 @@ def apply_patch(terrain: Terrain, patch: Patch) -> Ledger:
         group = keys[first : first + most]
         tally = _add(terrain, target, patch, counts, group)
         ledger += ledger_of(tally, target.unit)
-        touched += note_base(terrain, group, tally, target)
+        touched += note(terrain, group, tally, target)
     propagate(terrain, touched)
     return ledger
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from terrasim.counts import COUNTS_PER_M
 from terrasim.deform.anchored import Anchor
+from terrasim.detail.grid import DETAIL_LEVEL
 from terrasim.errors import InputError
 from terrasim.grid import Span
 from terrasim.kernels.addressing import BLOCK_SHIFT
@@ -87,13 +88,12 @@ def target_of(terrain: Terrain, *, detail: bool) -> Target:
     Raises:
         InputError: If the terrain has no detail grid.
     """
-    grid, lattice = terrain.grid, terrain.lattice
-    factor = int(lattice.factor) if detail else 1
-    if detail and factor < 2:
-        raise InputError("this terrain has no detail grid; open it with a detail factor")
-    row0, col0 = (int(lattice.row0), int(lattice.col0)) if detail else (0, 0)
+    grid, fine = terrain.grid, terrain.detail
+    if detail and fine.factor == 1:
+        raise InputError("this terrain has no detail grid; open it with a detail_factor above 1")
+    factor, row0, col0 = (fine.factor, fine.row0, fine.col0) if detail else (1, 0, 0)
     return Target(
-        level=-1 if detail else 0,
+        level=DETAIL_LEVEL if detail else 0,
         factor=factor,
         row=(grid.row - row0) * factor,
         last_row=(grid.row + grid.rows - 1 - row0) * factor,
