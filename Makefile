@@ -2,16 +2,21 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+SOAK := $(wildcard tests/test_kill.py tests/test_power_loss.py tests/test_disk_faults.py tests/test_bit_flips.py tests/test_store_model.py)
 STAMP := $(VENV)/stamp
 
 .DEFAULT_GOAL := demo
-.PHONY: demo test lint format bench venv clean
+.PHONY: demo test soak lint format bench venv clean
 
 demo: $(STAMP)
 	$(BIN)/terrasim run scenarios/jacksboro.toml --out out/jacksboro
 
 test: $(STAMP)
 	$(BIN)/python -m pytest $(PYTEST)
+
+# The same tests at their full size: an hour or more.
+soak: $(STAMP)
+	TERRASIM_SOAK=1 $(BIN)/python -m pytest $(or $(PYTEST),$(SOAK))
 
 lint: $(STAMP)
 	$(BIN)/ruff check

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from terrasim.balls.balls import Balls, step
 from terrasim.cache.agent import Agent
 from terrasim.cache.needs import Boxes, Disc
-from terrasim.deform.apply import apply
+from terrasim.deform.commit import apply, relax, undo
 from terrasim.deform.ledger import Ledger
 from terrasim.deform.stamps import (
     Berm,
@@ -28,6 +28,7 @@ from terrasim.deform.stamps import (
 )
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
+from terrasim.open_terrain import open_terrain
 from terrasim.query import Sample, SurfaceSample, sample, sample_all
 from terrasim.raycast import RayHits, raycast
 from terrasim.sources.analytic import Cone, Flat, Plane, Sine
@@ -84,9 +85,12 @@ __all__ = [
     "__version__",
     "apply",
     "open_store",
+    "open_terrain",
     "raycast",
+    "relax",
     "resample_power_of_two",
     "sample",
     "sample_all",
     "step",
+    "undo",
 ]

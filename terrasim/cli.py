@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
@@ -12,6 +11,8 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from terrasim.cli_print import show_result
+from terrasim.cli_store import commands
 from terrasim.errors import InputError, RunError
 
 app = typer.Typer(
@@ -50,7 +51,7 @@ def run(
     start_warp()
     with progress_bar() as progress:
         record = run_file(file, out=out, device=device, threads=threads, progress=progress)
-    _print(record, as_json, print_run)
+    show_result(record, as_json, print_run)
 
 
 @app.command()
@@ -59,7 +60,7 @@ def plan(file: File, device: str | None = None, as_json: Json = False) -> None:
     from terrasim.cli_print import print_plan
     from terrasim.scenario.run import plan_file
 
-    _print(plan_file(file, device=device).as_json(), as_json, print_plan)
+    show_result(plan_file(file, device=device).as_json(), as_json, print_plan)
 
 
 @app.command()
@@ -67,7 +68,7 @@ def schema() -> None:
     """Print the JSON Schema of scenario files."""
     from terrasim.scenario.scenario import scenario_schema
 
-    _print(scenario_schema(), True, None)
+    show_result(scenario_schema(), True, None)
 
 
 @app.command()
@@ -86,9 +87,9 @@ def info(
     if len(files) == 1 and files[0].is_file() and begins_with(files[0], _SQLITE):
         from terrasim.store.store import info as store_info
 
-        _print(store_info(files[0]), as_json, print_tree)
+        show_result(store_info(files[0]), as_json, print_tree)
         return
-    _print(describe_input(files, ImportOptions(**options)), as_json, print_tree)
+    show_result(describe_input(files, ImportOptions(**options)), as_json, print_tree)
 
 
 @app.command(name="import")
@@ -114,7 +115,7 @@ def import_(
             replace_store=replace,
             progress=progress,
         )
-    _print(made, as_json, print_tree)
+    show_result(made, as_json, print_tree)
 
 
 @app.command()
@@ -142,7 +143,7 @@ def bench(
         result = run_bench(names or (), device=device, tell=lambda name: progress(0.0, name))
     if save is not None:
         save_bench(result, save)
-    _print(result, as_json, lambda found: print(table(found)))
+    show_result(result, as_json, lambda found: print(table(found)))
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -204,16 +205,6 @@ _EXPECTED = (
 )
 
 
-def _print(result: dict[str, Any], as_json: bool, show: Any) -> None:
-    if as_json:
-        # One write, so that a reader never sees half of it.
-        text = json.dumps(result, indent=2, allow_nan=False, default=str)
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
-    else:
-        show(result)
-
-
 def _take_options(function: Any) -> None:
     """Give a command an option for each field of ``ImportOptions``, described as it is there."""
     from terrasim.dem.import_options import ImportOptions
@@ -241,3 +232,4 @@ def _take_options(function: Any) -> None:
 
 _take_options(info)
 _take_options(import_)
+app.add_typer(commands)

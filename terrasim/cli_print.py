@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+
+
+def show_result(result: dict[str, Any], as_json: bool, show: Any) -> None:
+    """Print a result: as one JSON object, or by a function for people."""
+    if as_json:
+        # One write, so that a reader never sees half of it.
+        text = json.dumps(result, indent=2, allow_nan=False, default=str)
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    else:
+        show(result)
 
 
 def print_tree(values: dict[str, Any], console: Console | None = None) -> None:
@@ -13,6 +26,21 @@ def print_tree(values: dict[str, Any], console: Console | None = None) -> None:
     console = console or Console()
     for path, value in _leaves(values, ""):
         console.print(f"{path}: {value}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_rows(name: str, rows: list[dict[str, Any]], console: Console | None = None) -> None:
+    """Rows that say the same things, as a table; what none of them says is left out."""
+    console = console or Console()
+    heads = (
+        [key for key in rows[0] if any(row[key] not in {None, ""} for row in rows)] if rows else []
+    )
+    if not heads:
+        console.print(f"no {name}", markup=False)
+        return
+    table = Table(*heads, title=name, title_justify="left")
+    for row in rows:
+        table.add_row(*("" if row[key] is None else str(row[key]) for key in heads))
+    console.print(table, markup=False)
 
 
 def print_plan(plan: dict[str, Any], console: Console | None = None) -> None:

@@ -99,6 +99,11 @@ class OfAKind(Settings):
             own["image"] = images[own["image"]]
         return kind(**own)
 
+    @property
+    def on_detail(self) -> bool:
+        """Whether it changes the detail instead of the terrain's own posts."""
+        return bool(getattr(self, "detail", False))
+
     def files(self) -> Iterator[ImageFile]:
         """The image it is made of, if any."""
         image = getattr(self, "image", None)

@@ -39,7 +39,9 @@ class Outcome:
     counters: Counters
     """What the cache did."""
     ledger: Ledger
-    """What the stamps did."""
+    """What was done to the ground."""
+    ground: dict[str, Any]
+    """What slumped and what is kept, ready for JSON."""
     ends: npt.NDArray[np.float64] | None
     """Where balls came to [m from the anchor; world z], shape ``(balls, 3)``; None without any."""
     balls: dict[str, Any]
@@ -77,7 +79,8 @@ class Outcome:
             shown = {"cells": tiles.cells, "level": tiles.finest, "error_m": error_m}
         return cls(
             counters=simulation.terrain.cache.counters,
-            ledger=simulation.ledger,
+            ledger=simulation.ground.ledger,
+            ground=simulation.ground.summary(),
             ends=None if balls is None else balls.places(simulation.terrain),
             balls={} if balls is None else balls.summary(),
             samples=[one.summary() for one in sampled],
@@ -129,6 +132,7 @@ def make_record(
             "removed_m3": outcome.ledger.removed / outcome.ledger.unit * COUNT_M * spacing**2,
             "added_m3": outcome.ledger.added / outcome.ledger.unit * COUNT_M * spacing**2,
         },
+        **outcome.ground,
         "stage": outcome.shown,
         "memory": {
             "planned_device_bytes": plan.total_bytes(DEVICE),

@@ -11,8 +11,8 @@ from terrasim.grid import Span
 from terrasim.output.stage_tiles import StageTiles, stamp_boxes
 from terrasim.output.tiles import choose_tiles
 from terrasim.scenario.plan import frame_steps
-from terrasim.scenario.schedule import Event, schedule
-from terrasim.scenario.simulation import Setup, Simulation, stamps_of
+from terrasim.scenario.schedule import schedule
+from terrasim.scenario.simulation import Boxes, Setup, Simulation, stamps_of
 from terrasim.scenario.stages import StageTimer
 
 _MARGIN_M = 10.0
@@ -44,11 +44,10 @@ class Recording:
             return np.zeros((0, 0, 3))
         return np.stack(self._places)
 
-    def see(self, event: Event | None) -> None:
+    def see(self, boxes: Boxes | None) -> None:
         """Look at the ground where it changed, and at the balls where it is time."""
         simulation = self._simulation
-        if event is not None and self.tiles is not None:
-            boxes = stamp_boxes(event.stamps, self._setup.anchor, simulation.terrain.grid.spacing)
+        if boxes is not None and self.tiles is not None:
             with self._timer.stage("read the stage's ground"):
                 self.tiles.changed(self.time_code(simulation.time_s), boxes)
         if simulation.step in self._frames and simulation.balls is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from terrasim.output.report import write_report
 from terrasim.progress import Progress, silent
+from terrasim.scenario.changing_ground import STORE
 from terrasim.scenario.device_memory import counted_memory
 from terrasim.scenario.estimate import estimate
 from terrasim.scenario.fingerprint import hash_heights
@@ -25,8 +26,8 @@ from terrasim.scenario.recording import Recording
 from terrasim.scenario.run_folder import check_place, run_folder
 from terrasim.scenario.samples import Sampled, take_samples
 from terrasim.scenario.scenario import Scenario, load_scenario, parse_scenario, scenario_settings
-from terrasim.scenario.schedule import Event, image_files
-from terrasim.scenario.simulation import Setup, Simulation
+from terrasim.scenario.schedule import image_files
+from terrasim.scenario.simulation import Boxes, Setup, Simulation
 from terrasim.scenario.stages import StageTimer
 
 
@@ -114,8 +115,8 @@ def run_scenario(
         import_libraries(plan)
     with timer.stage("read images"):
         images = read_images(image_files(scenario), folder)
-    setup = Setup(scenario, source, plan.anchor, images=images)
     with run_folder(out) as growing:
+        setup = Setup(scenario, source, plan.anchor, images=images, store=growing / STORE)
         outcome = _simulate(growing, setup, timer, progress)
         progress(0.9, "estimate the error")
         with timer.stage("estimate the error"):
@@ -138,8 +139,8 @@ def _simulate(growing: Path, setup: Setup, timer: StageTimer, progress: Progress
     with counted_memory() as memory, Simulation(setup, timer) as simulation:
         recording = Recording(setup, simulation, timer)
 
-        def see(event: Event | None) -> None:
-            recording.see(event)
+        def see(boxes: Boxes | None) -> None:
+            recording.see(boxes)
             done = simulation.step / max(setup.steps, 1)
             progress(0.05 + 0.7 * done, f"{simulation.time_s:.2f} s simulated")
 

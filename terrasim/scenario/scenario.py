@@ -20,6 +20,7 @@ from terrasim.scenario.actors import (
     Positive,
     SampleGroup,
 )
+from terrasim.scenario.ground import DetailSettings, RelaxationSettings, StoreSettings
 from terrasim.scenario.settings import Settings, explain
 from terrasim.scenario.terrain import AnyGround
 
@@ -99,6 +100,12 @@ class Scenario(Settings):
     """The post that places are measured from; by default the middle of the terrain."""
     pool: PoolSettings = PoolSettings()
     """How much ground is held at once."""
+    detail: DetailSettings | None = None
+    """A finer grid where something changed the ground; by default there is none."""
+    relaxation: RelaxationSettings | None = None
+    """Ground that slumps where stamps made it too steep; by default it stays as it is."""
+    store: StoreSettings | None = None
+    """Keep the ground in a store; by default it lasts as long as the run."""
     stamps: tuple[AnyStamp, ...] = ()
     """Deformations, each at a place and a time."""
     scatter: tuple[AnyScattered, ...] = ()
@@ -124,6 +131,30 @@ class Scenario(Settings):
                     f"{name}.time_s must be within the run of {self.run.duration_s:g} s "
                     f"(run.duration_s), got {time_s:g}"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _keeps_time(self) -> Self:
+        times = (*self.store.reopen_s, *self.store.snapshots_s) if self.store else ()
+        for time_s in times:
+            if time_s > self.run.duration_s:
+                raise ValueError(
+                    f"store: times must be within the run of {self.run.duration_s:g} s "
+                    f"(run.duration_s), got {time_s:g}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _has_its_detail(self) -> Self:
+        fine = [f"stamps[{i}]" for i, one in enumerate(self.stamps, 1) if one.on_detail]
+        fine += [f"scatter[{i}]" for i, one in enumerate(self.scatter, 1) if one.on_detail]
+        if self.relaxation is not None and self.relaxation.detail:
+            fine.append("relaxation")
+        if fine and self.detail is None:
+            raise ValueError(
+                f"{fine[0]}.detail is true but the terrain has no detail: add a table [detail] "
+                "with a factor"
+            )
         return self
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,8 +14,10 @@ import numpy.typing as npt
 
 from terrasim.cache.agent import Agent, ahead
 from terrasim.cache.needs import Need
-from terrasim.deform.ledger import Ledger
+from terrasim.grid import Span
+from terrasim.output.stage_tiles import stamp_boxes
 from terrasim.scenario.agent_path import agent_at
+from terrasim.scenario.changing_ground import ChangingGround
 from terrasim.scenario.images import Images
 from terrasim.scenario.scenario import Scenario
 from terrasim.scenario.schedule import Event, schedule
@@ -22,6 +25,8 @@ from terrasim.scenario.stages import StageTimer
 from terrasim.sources.source import Source
 from terrasim.terrain import Terrain
 
+Boxes = list[Span]
+"""Rectangles of level-0 cells."""
 LOOKAHEAD = (4, 8, 16, 32)
 """Steps for which agents' needs are fetched ahead."""
 
@@ -42,6 +47,8 @@ class Setup:
     """Which balls take part; all by default."""
     images: Images = field(default_factory=dict)
     """What the image files of its stamps hold."""
+    store: Path | None = None
+    """Where the ground's store is to be made, if the scenario asks for one."""
 
     @property
     def dt_s(self) -> float:
@@ -67,27 +74,24 @@ class Simulation:
         self._setup = setup
         self._timer = timer
         self.step = 0
-        self.ledger = Ledger()
         scenario = setup.scenario
-        with timer.stage("open the terrain"):
-            self.terrain = Terrain(
-                setup.source,
-                device=scenario.run.device,
-                pool_bytes=scenario.pool.bytes,
-                threads=scenario.run.threads,
-                loaders=scenario.pool.loaders,
-                late=scenario.run.late,
-            )
+        self.ground = ChangingGround(scenario, setup.source, setup.store, timer)
+        """The ground and what is done to it."""
         self.balls: Any = None
         try:
             self._events = {
                 event.step: event for event in schedule(scenario, setup.finer, images=setup.images)
             }
-            self.apply_due()
+            self.change_ground()
             self._place_balls()
         except BaseException:
             self.close()
             raise
+
+    @property
+    def terrain(self) -> Terrain:
+        """The terrain."""
+        return self.ground.terrain
 
     @property
     def time_s(self) -> float:
@@ -104,12 +108,12 @@ class Simulation:
             for one in setup.scenario.agents
         ]
 
-    def run(self, see: Callable[[Event | None], None] | None = None) -> None:
+    def run(self, see: Callable[[Boxes | None], None] | None = None) -> None:
         """Run to the end.
 
         Args:
-            see: Called before the first step, and between steps after the stamps that are due were
-                made, with those stamps; once more at the end.
+            see: Called before the first step, and between steps after the ground changed, with
+                where it did; once more at the end.
         """
         see = see or _look_away
         see(None)
@@ -118,7 +122,7 @@ class Simulation:
             self.advance()
             if self._setup.scenario.run.paced:
                 time.sleep(max(0.0, begun + self.time_s - time.perf_counter()))
-            see(self.apply_due())
+            see(self.change_ground())
 
     def advance(self) -> None:
         """One step: what it reads is brought in, balls move, then the job queue works."""
@@ -137,20 +141,25 @@ class Simulation:
             cache.work(setup.scenario.pool.budget_ms)
         self.step += 1
 
-    def apply_due(self) -> Event | None:
-        """Make the stamps of this step, if there are any."""
-        event = self._events.get(self.step)
-        if event is None:
-            return None
-        from terrasim.deform.apply import apply
+    def change_ground(self) -> Boxes | None:
+        """Make the stamps of this step, let the ground slump, and see to its store.
 
-        with self._timer.stage("apply stamps"):
-            self.ledger += apply(self.terrain, event.stamps, anchor=self._setup.anchor)
-        return event
+        Returns:
+            Rectangles of level-0 cells in which it may have changed; None if it did not.
+        """
+        setup, boxes = self._setup, []
+        event = self._events.get(self.step)
+        if event is not None:
+            self.ground.stamp(event.stamps, setup.anchor)
+            boxes += stamp_boxes(event.stamps, setup.anchor, self.terrain.grid.spacing)
+        boxes += self.ground.slump()
+        before_s = self.time_s - setup.dt_s if self.step else -1.0
+        self.ground.keep(before_s, self.time_s)
+        return boxes or None
 
     def close(self) -> None:
-        """End the terrain's threads."""
-        self.terrain.close()
+        """Write what was done to the ground, if there is a store, and end the terrain's threads."""
+        self.ground.close()
 
     def __enter__(self) -> Self:
         """Use it as a context manager."""
@@ -174,7 +183,7 @@ class Simulation:
             self.balls = MovingBalls(self.terrain, self._setup)
 
 
-def _look_away(event: Event | None) -> None:
+def _look_away(boxes: Boxes | None) -> None:
     """See nothing."""
 
 

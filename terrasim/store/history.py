@@ -1,49 +1,74 @@
-"""What was done to a terrain, read from its store without the right to write."""
+"""What was done on a branch: its own epoch's rows and those of the epochs it goes on from."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from terrasim.errors import InputError
-from terrasim.store.epochs import lineage
-from terrasim.store.journal import JournalRow, newest_rows
-from terrasim.store.names import MAIN, find_branch, one_state, read_names
+from terrasim.store.acknowledged import require_sound_log
+from terrasim.store.epochs import Stretch, lineage
+from terrasim.store.journal import JournalRow, chain_at, newest_rows, read_rows
+from terrasim.store.names import MAIN, find_branch, no_names, one_state, read_names
 from terrasim.store.opening import require_file, require_store
 from terrasim.store.readers import Readers
-from terrasim.store.store_file import connect_reader, reading
+from terrasim.store.store_file import connect_reader
 
 
-def history(path: str | Path, branch: str = MAIN, limit: int = 20) -> list[JournalRow]:
-    """The newest rows of a branch's journal, newest first.
-
-    Args:
-        path: The store; somebody may be writing to it.
-        branch: The branch.
-        limit: Most rows.
+def history(path: str | Path, branch: str = MAIN, limit: int = 100) -> list[JournalRow]:
+    """The newest operations of a branch, newest first; the store may be in use.
 
     Raises:
         InputError: If there is no such store or branch, or the limit is negative.
-        StoreCorrupt: If a row is not as it was written.
         RunError: If it cannot be read.
+        StoreCorrupt: If a row is not as it was written.
+    """
+    path = Path(path)
+    require_file(path)
+    require_sound_log(path)
+    readers = Readers(path, lambda: connect_reader(path))
+    try:
+        with readers.borrow() as db:
+            if require_store(path, db) == 1:
+                raise no_names(path)
+            with one_state(db):
+                names = read_names(db)
+        if branch == MAIN and MAIN not in names.branches:
+            return []
+        return newest_first(readers, find_branch(names, branch).epoch, limit)
+    finally:
+        readers.close()
+
+
+def newest_first(readers: Readers, epoch: int, limit: int) -> list[JournalRow]:
+    """The newest rows of an epoch's history, newest first.
+
+    Raises:
+        InputError: If the limit is negative.
+        StoreCorrupt: If a row is not as it was written.
     """
     if limit < 0:
         raise InputError(f"limit must not be negative, got {limit}")
-    path = Path(path)
-    require_file(path)
-    readers = Readers(path, lambda: connect_reader(path))
     found: list[JournalRow] = []
-    try:
-        with reading(path), readers.borrow() as db, one_state(db):
-            if require_store(path, db) == 1:
-                # Written before there was a journal.
-                return []
-            names = read_names(db)
-            if branch == MAIN and MAIN not in names.branches:
-                return []
-            stretches = lineage(db, find_branch(names, branch).epoch)
-        for epoch, until in stretches:
-            left = limit - len(found)
-            found += newest_rows(readers.fetch, epoch, until, left) if left else []
-    finally:
-        readers.close()
+    for one, until in _stretches(readers, epoch):
+        if len(found) < limit:
+            found += newest_rows(readers.fetch, one, until, limit - len(found))
     return found
+
+
+def oldest_first(readers: Readers, epoch: int, first: int) -> Iterator[JournalRow]:
+    """Rows of an epoch's history from a number on, oldest first, as far as they were not trimmed.
+
+    Raises:
+        StoreCorrupt: If a row is not as it was written.
+    """
+    for one, until in reversed(_stretches(readers, epoch)):
+        if until >= first:
+            tail = chain_at(readers.fetch, one, first - 1)
+            for row, _ in read_rows(readers.fetch, tail, until):
+                yield row
+
+
+def _stretches(readers: Readers, epoch: int) -> list[Stretch]:
+    with readers.borrow() as db, one_state(db):
+        return lineage(db, epoch)
