@@ -32,9 +32,7 @@ class Piece:
     layer: int
     """The block's layer, or -1 to measure only."""
     own: int
-    """Layer of the block below, and which of its level it is."""
-    own_row: int
-    own_col: int
+    """Layer of the block below."""
     east: int
     """Layer of the next block below along x."""
     north: int
@@ -63,6 +61,18 @@ class Piece:
     """Row below, in ``north``, of the row after the quadrant's last."""
     east_col: int
     """Column likewise, in ``east``."""
+    own_row: int
+    """Row of blocks of the block below."""
+    own_col: int
+    """Column of blocks."""
+    first_row: int
+    """Row of the level's posts of the quadrant's first."""
+    first_col: int
+    """Column of it."""
+    last_row: int
+    """Last row of posts of the level's blocks."""
+    last_col: int
+    """Last column."""
     measure: int
     """Whether to compare it with the level below."""
 

@@ -12,6 +12,7 @@ from terrasim.deform.patch import Patch, apply_patch
 from terrasim.deform.pieces import groups, pieces_of
 from terrasim.deform.propagate import Touched, propagate
 from terrasim.deform.regions import first_regions
+from terrasim.deform.room import Room
 from terrasim.grid import Block, Grid
 from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
@@ -138,7 +139,7 @@ def test_a_pool_with_room_for_four_blocks_takes_pieces_apart() -> None:
     grid = Grid(2600, 1500, 1.0, row=-1300, col=-700)
     touched = [Touched(Block(0, -1, 0), -256, -1, 0, 255, 1, 0)]
     pieces = pieces_of(grid, 1, first_regions(grid, touched))
-    parted = [piece for group in groups(pieces, 4, grid.top) for piece in group]
+    parted = [piece for group in groups(pieces, Room(4, grid.top)) for piece in group]
     assert any(not piece.sample for piece in parted)
     assert all(len(piece.needs) <= 4 for piece in parted)
     with Terrain(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from terrasim.deform.regions import Region, Regions
+from terrasim.deform.room import Room
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK
 from terrasim.kernels.propagate import QUADRANT
@@ -22,7 +23,7 @@ class Piece(NamedTuple):
     below: tuple[Block, Block, Block, Block]
     """The block below it, and the next ones east, north and both; the same again if not needed."""
     place: tuple[int, ...]
-    """Fields ``row`` to ``east_col`` of ``kernels.propagate.Piece``."""
+    """Fields ``row`` to ``last_col`` of ``kernels.propagate.Piece``."""
     rise: int
     """At least what the surface rose by [counts]."""
     fall: int
@@ -44,8 +45,6 @@ class Piece(NamedTuple):
         return (
             layers[self.block] if self.sample else -1,
             layers[own],
-            own.row,
-            own.col,
             layers[east],
             layers[north],
             layers[corner],
@@ -59,28 +58,24 @@ def pieces_of(grid: Grid, level: int, regions: Regions) -> list[Piece]:
     span = grid.blocks(level - 1)
     rows = {row: _source(row, span.row0, span.row1) for row, _ in regions}
     cols = {col: _source(col, span.col0, span.col1) for _, col in regions}
+    above = grid.blocks(level)
+    last = (above.row1 * BLOCK - 1, above.col1 * BLOCK - 1)
     return [
-        _piece(level, row, col, region, rows[row], cols[col])
+        _piece(level, row, col, region, rows[row], cols[col], last)
         for (row, col), region in sorted(regions.items())
     ]
 
 
-def groups(pieces: list[Piece], capacity: int, top: int) -> Iterator[list[Piece]]:
-    """Pieces that may be in the pool together, in order.
-
-    Args:
-        pieces: Pieces of one level.
-        capacity: Blocks that the pool holds beside the coarsest level; at least four, or all.
-        top: The coarsest level, which is always there.
-    """
-    if len(pieces) <= MOST and len({key for piece in pieces for key in piece.needs}) <= capacity:
+def groups(pieces: list[Piece], room: Room) -> Iterator[list[Piece]]:
+    """Pieces of one level that may be in the pool together, in order."""
+    if len(pieces) <= MOST and room.holds({key for piece in pieces for key in piece.needs}):
         yield pieces
         return
     group: list[Piece] = []
     held: set[Block] = set()
-    for piece in _fitting(pieces, capacity, top):
-        needs = {key for key in piece.needs if key.level < top}
-        if group and (len(held | needs) > capacity or len(group) == MOST):
+    for piece in _fitting(pieces, room.capacity, room.top):
+        needs = set(piece.needs)
+        if group and (len(group) == MOST or not room.holds(held | needs)):
             yield group
             group, held = [], set()
         group.append(piece)
@@ -124,7 +119,15 @@ def _source(quadrant: int, begin: int, end: int) -> _Source:
     return _Source(own, first, 2 if own == quadrant else 0, after, next_first)
 
 
-def _piece(level: int, row: int, col: int, region: Region, rows: _Source, cols: _Source) -> Piece:
+def _piece(
+    level: int,
+    row: int,
+    col: int,
+    region: Region,
+    rows: _Source,
+    cols: _Source,
+    last: tuple[int, int],
+) -> Piece:
     row0, row1, col0, col1, rise, fall = region
     own = north = east = corner = Block(level - 1, rows.own, cols.own)
     # The last cells of a quadrant end on posts of the next block below.
@@ -146,5 +149,10 @@ def _piece(level: int, row: int, col: int, region: Region, rows: _Source, cols: 
         cols.first,
         rows.next_first,
         cols.next_first,
+        rows.own,
+        cols.own,
+        row * QUADRANT,
+        col * QUADRANT,
+        *last,
     )
     return Piece(Block(level, row >> 1, col >> 1), (own, east, north, corner), place, rise, fall)

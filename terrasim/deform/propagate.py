@@ -14,9 +14,11 @@ import numpy as np
 import warp as wp
 
 from terrasim.counts import HOLE, MAX_COUNT
+from terrasim.deform.detail_pieces import parted, to_measure, to_sample
 from terrasim.deform.pieces import MOST, Piece, groups, pieces_of
 from terrasim.deform.placing import blank
 from terrasim.deform.regions import first_regions, next_regions
+from terrasim.deform.room import Room
 from terrasim.deform.touched import Touched
 from terrasim.grid import Block
 from terrasim.kernels import propagate as kernels
@@ -53,14 +55,52 @@ def propagate(terrain: Terrain, touched: Sequence[Touched]) -> None:
         return
     regions = first_regions(grid, touched)
     scratch = _Scratch(terrain, min(len(regions), MOST))
+    room = Room.of(terrain)
     for level in range(1, grid.levels):
         if level > 1:
             regions = next_regions(grid, level, regions)
         found = _Found()
-        for group in groups(pieces_of(grid, level, regions), terrain.cache.capacity, grid.top):
+        pieces, fine = pieces_of(grid, level, regions), list[Piece]()
+        if level == 1 and terrain.detail.factor > 1:
+            pieces, fine = parted(pieces, terrain.cache.detail_count)
+        for group in groups(pieces, room):
             scratch = scratch.for_pieces(len(group))
             _carry(terrain, scratch, group, found)
+        if fine:
+            # Last: it reads what the others sampled.
+            scratch = _carry_detail(terrain, scratch, room, fine, found)
         _note_errors(terrain, found)
+
+
+def _carry_detail(
+    terrain: Terrain, scratch: _Scratch, room: Room, pieces: list[Piece], found: _Found
+) -> _Scratch:
+    """Sample and measure pieces of level 1 over ground with detail."""
+    # A terrain without detail never compiles these.
+    from terrasim.kernels.propagate_detail import measure_with_detail, sample_with_detail
+
+    shared = [terrain.resident, terrain.lattice]
+    for kernel, parts in (
+        (sample_with_detail, to_sample(pieces)),
+        (measure_with_detail, to_measure(terrain.grid, pieces)),
+    ):
+        for group in groups(parts, room):
+            scratch = scratch.for_pieces(len(group))
+            _carry(terrain, scratch, group, found, kernel, shared)
+    most = {key: _largest_detail(terrain, key) for piece in pieces for key in piece.below}
+    for piece in pieces:
+        # At a post the level follows the detail; between posts it misses all of it.
+        largest = max(most[key] for key in piece.below)
+        found.note(piece, largest, 2 * largest, -1, -1)
+    return scratch
+
+
+def _largest_detail(terrain: Terrain, key: Block) -> int:
+    """Largest difference of the detail on a block of level 0 [counts, rounded up]."""
+    terrain.cache.hold([key])
+    ranges = [terrain.cache.describe(one)[:2] for one in terrain.cache.details(key)]
+    largest = max((max(-low, high) for low, high in ranges), default=0)
+    return -(-largest // terrain.detail.factor)
 
 
 class _Found:
@@ -129,24 +169,24 @@ class _Scratch:
         return self._there
 
 
-def _carry(terrain: Terrain, scratch: _Scratch, group: list[Piece], found: _Found) -> None:
+def _carry(
+    terrain: Terrain,
+    scratch: _Scratch,
+    group: list[Piece],
+    found: _Found,
+    kernel: Any = kernels.carry_up,
+    shared: Sequence[Any] = (),
+) -> None:
     """Sample and measure pieces, tell the cache of their blocks' ranges."""
-    cache, level = terrain.cache, group[0].block.level
+    cache = terrain.cache
     needed = list(dict.fromkeys(key for piece in group for key in piece.needs))
     layers = dict(zip(needed, cache.hold(needed), strict=True))
     scratch.host[: len(group)] = [piece.record(layers) for piece in group]
     rows = len(group) * kernels.QUADRANT
-    kernel, shared = kernels.carry_up, [terrain.pool, scratch.pieces]
-    if level == 1 and terrain.lattice.factor > 1:
-        # A terrain without detail never compiles it.
-        from terrasim.kernels.propagate_detail import carry_detail_up
-
-        kernel = carry_detail_up
-        shared = [terrain.pool, terrain.resident, terrain.lattice, scratch.pieces]
     launch(
         kernel,
         rows,
-        shared=shared,
+        shared=[terrain.pool, *shared, scratch.pieces],
         items=[scratch.place, scratch.tally],
         device=terrain.device,
         threads=terrain.threads,
