@@ -7,6 +7,17 @@ import warp as wp
 
 from terrasim.kernels.addressing import offset_in_pool, post_or_absent
 from terrasim.kernels.detail import NO_GROUND, total_between
+from terrasim.kernels.edit_row import (
+    Posts,
+    RowTally,
+    begin_row,
+    close_row,
+    is_hole,
+    met_end,
+    moved,
+    range_of_row,
+    within,
+)
 from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.shapes import CRATER, shape_at
 from terrasim.kernels.stamps import (
@@ -15,18 +26,9 @@ from terrasim.kernels.stamps import (
     FILL,
     REPLACE,
     BlockStamps,
-    Posts,
-    RowTally,
     Stamp,
     add_parts,
-    begin_row,
-    close_row,
-    is_hole,
-    met_end,
-    moved,
     next_stamp,
-    range_of_row,
-    within,
 )
 
 _CRATER = wp.constant(CRATER)
@@ -177,7 +179,7 @@ def stamp_in_order(
         if shared:
             share_out[one[3] + (post_row - one[1])] = share
         k = next_stamp(listed, k + 1, work.end, post_row)
-    return close_row(pool, posts, work, row, value, met)
+    return close_row(pool, posts, work.layer, work.row, work.col, row, value, met)
 
 
 @wp.kernel(enable_backward=False)

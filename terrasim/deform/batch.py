@@ -11,7 +11,7 @@ import warp as wp
 from terrasim.deform.binning import Group
 from terrasim.deform.placing import Placed, Records
 from terrasim.deform.target import Target
-from terrasim.kernels import stamps
+from terrasim.kernels import edit_row, stamps
 from terrasim.kernels.addressing import BLOCK
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
@@ -55,14 +55,14 @@ class Batch:
             layers: The layers they are in.
 
         Returns:
-            ``kernels.stamps.RowTally``, shape ``(blocks, BLOCK)``.
+            ``kernels.edit_row.RowTally``, shape ``(blocks, BLOCK)``.
         """
         terrain, device = self._terrain, self._terrain.device
         group.work["layer"] = layers
         rows = len(layers) * BLOCK
         blocks = self._sent(group.work, stamps.BlockStamps)
         listed = self._sent(group.listed, wp.vec4i)
-        tally: Any = wp.empty(rows, dtype=stamps.RowTally, device=device)
+        tally: Any = wp.empty(rows, dtype=edit_row.RowTally, device=device)
         shared = [terrain.pool, self._posts, self._stamps, self._across]
         if self._plain:
             kernel, shared = stamps.add_stamps, [*shared, blocks, listed]

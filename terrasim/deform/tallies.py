@@ -20,7 +20,7 @@ def ledger_of(rows: Records, unit: int) -> Ledger:
     """What happened to all rows of a launch.
 
     Args:
-        rows: ``kernels.stamps.RowTally``, any shape.
+        rows: ``kernels.edit_row.RowTally``, any shape.
         unit: The ledger's unit.
     """
     names = ("removed", "added", "changed", "clamped", "holes")
@@ -34,7 +34,7 @@ def note(terrain: Terrain, keys: list[Block], rows: Records, target: Target) -> 
     Args:
         terrain: The terrain.
         keys: The blocks.
-        rows: ``kernels.stamps.RowTally``, shape ``(blocks, BLOCK)``.
+        rows: ``kernels.edit_row.RowTally``, shape ``(blocks, BLOCK)``.
         target: The posts that changed.
     """
     lowest, highest = rows["lowest"].min(axis=1), rows["highest"].max(axis=1)

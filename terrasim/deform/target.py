@@ -14,7 +14,7 @@ from terrasim.detail.grid import DETAIL_LEVEL
 from terrasim.errors import InputError
 from terrasim.grid import Span
 from terrasim.kernels.addressing import BLOCK_SHIFT
-from terrasim.kernels.stamps import Posts
+from terrasim.kernels.edit_row import Posts
 from terrasim.terrain import Terrain
 
 
