@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,9 @@ import warp as wp
 
 from terrasim.counts import MAX_COUNT, Counts
 from terrasim.deform.ledger import Ledger
-from terrasim.deform.placing import blank
+from terrasim.deform.placing import Records, blank
 from terrasim.deform.propagate import Touched, propagate
+from terrasim.deform.room import Room
 from terrasim.deform.tallies import ledger_of, note
 from terrasim.deform.target import Target, target_of
 from terrasim.errors import InputError
@@ -22,7 +24,7 @@ from terrasim.kernels.edit_row import RowTally
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
-GROUP = 256
+MOST = 256
 """Most blocks changed in one launch."""
 
 
@@ -78,30 +80,83 @@ def apply_patch(terrain: Terrain, patch: Patch) -> Ledger:
 
     Raises:
         InputError: If the patch does not lie on the terrain.
-        RunError: If a block cannot be read or written.
+        RunError: If a block cannot be read or written, or the pool has no room for the detail;
+            nothing is changed then.
     """
     target = _target(terrain, patch)
+    if patch.detail:
+        # A terrain without detail never compiles its kernel.
+        from terrasim.deform.patch_detail import add_detail
+
+        ledger, touched = add_detail(terrain, patch, target)
+    else:
+        ledger, touched = _add_base(terrain, patch, target)
+    propagate(terrain, touched)
+    return ledger
+
+
+def blocks_of(patch: Patch, level: int) -> list[Block]:
+    """Blocks that a patch changes."""
     rows, cols = patch.counts.shape
-    keys = [
-        Block(target.level, row, col)
+    return [
+        Block(level, row, col)
         for row in range(patch.row >> BLOCK_SHIFT, ((patch.row + rows - 1) >> BLOCK_SHIFT) + 1)
         for col in range(patch.col >> BLOCK_SHIFT, ((patch.col + cols - 1) >> BLOCK_SHIFT) + 1)
     ]
-    counts: Any = wp.array(
-        np.ascontiguousarray(patch.counts), dtype=wp.int32, device=terrain.device, copy=False
+
+
+def add(
+    terrain: Terrain,
+    kernel: Any,
+    terms: Sequence[Any],
+    patch: Patch,
+    keys: list[Block],
+    layers: list[int],
+) -> Records:
+    """Add a patch to resident blocks.
+
+    Args:
+        terrain: The terrain.
+        kernel: ``kernels.patch.add_patch`` or one like it.
+        terms: Its parameters before the patch.
+        patch: The patch.
+        keys: The blocks.
+        layers: The layers they are in.
+
+    Returns:
+        ``kernels.edit_row.RowTally``, shape ``(blocks, BLOCK)``.
+    """
+    device, rows = terrain.device, len(keys) * BLOCK
+    work = blank(kernels.PatchBlock, len(keys))
+    work["layer"] = layers
+    work["row"], work["col"] = [key.row for key in keys], [key.col for key in keys]
+    blocks: Any = wp.array(work, dtype=kernels.PatchBlock, device=device, copy=False)
+    given = np.ascontiguousarray(patch.counts)
+    counts: Any = wp.array(given, dtype=wp.int32, device=device, copy=False)
+    place: Any = wp.array(np.arange(rows, dtype=np.int32), device=device, copy=False)
+    tally: Any = wp.empty(rows, dtype=RowTally, device=device)
+    launch(
+        kernel,
+        rows,
+        shared=[*terms, patch.row, patch.col, counts, blocks],
+        items=[place, tally],
+        device=device,
+        threads=terrain.threads,
     )
-    most = GROUP
-    if target.level < terrain.grid.top:
-        most = max(1, min(most, terrain.cache.capacity))
+    found: Records = tally.numpy().reshape(len(keys), BLOCK)
+    return found
+
+
+def _add_base(terrain: Terrain, patch: Patch, target: Target) -> tuple[Ledger, list[Touched]]:
     ledger = Ledger()
     touched: list[Touched] = []
-    for first in range(0, len(keys), most):
-        group = keys[first : first + most]
-        tally = _add(terrain, target, patch, counts, group)
-        ledger += ledger_of(tally, target.unit)
-        touched += note(terrain, group, tally, target)
-    propagate(terrain, touched)
-    return ledger
+    terms = [terrain.pool, target.posts(undo=False)]
+    for group in Room.of(terrain).groups(blocks_of(patch, 0), MOST):
+        layers = terrain.cache.hold(group)
+        rows = add(terrain, kernels.add_patch, terms, patch, group, layers)
+        ledger += ledger_of(rows, target.unit)
+        touched += note(terrain, group, rows, target)
+    return ledger, touched
 
 
 def _target(terrain: Terrain, patch: Patch) -> Target:
@@ -117,23 +172,3 @@ def _target(terrain: Terrain, patch: Patch) -> Target:
                 f"got {first} to {first + size - 1}"
             )
     return target
-
-
-def _add(terrain: Terrain, target: Target, patch: Patch, counts: Any, keys: list[Block]) -> Any:
-    """Change a group of blocks; ``kernels.edit_row.RowTally``, shape ``(blocks, BLOCK)``."""
-    device, rows = terrain.device, len(keys) * BLOCK
-    work = blank(kernels.PatchBlock, len(keys))
-    work["layer"] = terrain.cache.hold(keys)
-    work["row"], work["col"] = [key.row for key in keys], [key.col for key in keys]
-    blocks: Any = wp.array(work, dtype=kernels.PatchBlock, device=device, copy=False)
-    place: Any = wp.array(np.arange(rows, dtype=np.int32), device=device, copy=False)
-    tally: Any = wp.empty(rows, dtype=RowTally, device=device)
-    launch(
-        kernels.add_patch,
-        rows,
-        shared=[terrain.pool, target.posts(undo=False), patch.row, patch.col, counts, blocks],
-        items=[place, tally],
-        device=device,
-        threads=terrain.threads,
-    )
-    return tally.numpy().reshape(len(keys), BLOCK)
