@@ -21,6 +21,7 @@ from terrasim.counts import MAX_COUNT
 from terrasim.deform.given import Given
 from terrasim.deform.ledger import Ledger
 from terrasim.deform.patch import Patch, apply_patch, check_patch
+from terrasim.deform.target import Target
 from terrasim.deform.window import NO_GROUND, read_window
 from terrasim.errors import InputError
 from terrasim.grid import Block
@@ -128,6 +129,16 @@ def check_end(name: str, how: str) -> None:
     """
     if how not in {"freeze", "vanish"}:
         raise InputError(f"{name}: end must be 'freeze' or 'vanish', got {how!r}")
+
+
+def check_detail(name: str, detail: bool, target: Target) -> None:
+    """Refuse posts of another lattice than are to change.
+
+    Raises:
+        InputError: With name, field and value.
+    """
+    if detail != (target.level < 0):
+        raise InputError(f"{name}: detail = {str(detail).lower()} does not go with these posts")
 
 
 def array_of(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from terrasim.counts import MAX_COUNT
 from terrasim.deform.anchored import Anchor
 from terrasim.deform.clock import Clock, check_duration
-from terrasim.deform.dynamics import End, Field, State, array_of, check_end
+from terrasim.deform.dynamics import End, Field, State, array_of, check_detail, check_end
 from terrasim.deform.given import Given
 from terrasim.deform.patch import Patch
 from terrasim.deform.profiles import Linear, Profile
@@ -19,7 +19,6 @@ from terrasim.deform.shapes.checks import check_fields, refuse
 from terrasim.deform.stamp_rises import posts_within, rises
 from terrasim.deform.stamps import Stamp
 from terrasim.deform.target import Target
-from terrasim.errors import InputError
 from terrasim.grid import Span
 
 
@@ -56,7 +55,12 @@ class Growth:
         return self.stamp.detail
 
     def span(self, target: Target, anchor: Anchor = (0, 0)) -> Span:
-        """Posts of the terrain that it may change; empty if there are none."""
+        """Posts of the terrain that it may change; empty if there are none.
+
+        Raises:
+            InputError: If it is to change others than the target's.
+        """
+        check_detail(self.name, self.detail, target)
         return posts_within(target, anchor, self.stamp.x, self.stamp.y, self.stamp.extent)
 
 
@@ -84,10 +88,6 @@ class RunningGrowth:
         Raises:
             InputError: If it touches no post of the terrain, or is higher than heights may be.
         """
-        if growth.detail != (target.level < 0):
-            raise InputError(
-                f"{growth.name}: detail = {str(growth.detail).lower()} does not go with these posts"
-            )
         self.growth, self._target = growth, target
         self.clock = Clock(growth.name, growth.duration_s)
         self._steps = 0

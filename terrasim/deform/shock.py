@@ -11,7 +11,7 @@ import numpy.typing as npt
 from terrasim.counts import MAX_COUNT
 from terrasim.deform.anchored import Anchor
 from terrasim.deform.clock import Clock, check_duration
-from terrasim.deform.dynamics import End, Field, State, array_of, check_end
+from terrasim.deform.dynamics import End, Field, State, array_of, check_detail, check_end
 from terrasim.deform.given import Given
 from terrasim.deform.patch import Patch
 from terrasim.deform.shapes.checks import check_fields, check_size, refuse
@@ -19,7 +19,6 @@ from terrasim.deform.stamp_rises import posts_within, rises
 from terrasim.deform.stamps import Stamp
 from terrasim.deform.target import Target
 from terrasim.deform.waves import Wave, check_step, check_wave
-from terrasim.errors import InputError
 from terrasim.grid import Span
 
 
@@ -76,8 +75,13 @@ class Shock:
                 refuse(self.name, field, "be of mode add", stamp.mode)
 
     def span(self, target: Target, anchor: Anchor = (0, 0)) -> Span:
-        """Posts of its rectangle on the terrain; empty if there are none."""
+        """Posts of its rectangle on the terrain; empty if there are none.
+
+        Raises:
+            InputError: If it is to change others than the target's.
+        """
         half_x, half_y = self.size_x / 2.0, self.size_y / 2.0
+        check_detail(self.name, self.detail, target)
         return posts_within(target, anchor, self.x, self.y, (-half_x, -half_y, half_x, half_y))
 
     def check_step(self, dt_s: float, spacing: float) -> float:
@@ -242,10 +246,6 @@ class RunningShock:
         }
 
     def _begin(self, shock: Shock, target: Target, given: Given) -> None:
-        if shock.detail != (target.level < 0):
-            raise InputError(
-                f"{shock.name}: detail = {str(shock.detail).lower()} does not go with these posts"
-            )
         self.shock, self._target, self._given = shock, target, given
         self.clock = Clock(shock.name, shock.duration_s)
         self._step_s = 0.0
