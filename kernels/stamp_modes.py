@@ -151,7 +151,6 @@ def stamp_in_order(
     listed: wp.array(dtype=wp.vec4i),
     work: BlockStamps,
     row: int,
-    post_row: int,
     begin: int,
     share_out: wp.array(dtype=wp.vec2l),
 ) -> RowTally:
@@ -159,6 +158,7 @@ def stamp_in_order(
     value = wp.zeros(shape=(_BLOCK,), dtype=wp.float64)
     met = wp.zeros(shape=(_BLOCK,), dtype=int)
     first_col = work.col << _SHIFT
+    post_row = wp.clamp((work.row << _SHIFT) + row, posts.row, posts.last_row)
     ground = wp.zeros(shape=(_BLOCK,), dtype=wp.float64)
     if posts.detail == 1:
         last = wp.min(_MASK, posts.last_col - first_col)
@@ -224,7 +224,6 @@ def apply_stamps(
             listed,
             work,
             row,
-            post_row,
             begin,
             share_out,
         )
