@@ -18,7 +18,8 @@ from terrasim.sources.source import BlockData
 from terrasim.store import journal
 from terrasim.store.checkpoint import has_detail, write_images
 from terrasim.store.edited import At
-from terrasim.store.epochs import lineage, now
+from terrasim.store.epochs import now
+from terrasim.store.history import newest_first, oldest_first
 from terrasim.store.journal import JournalRow, NewRow, Tail
 from terrasim.store.keys import earlier, remember
 from terrasim.store.moves import (
@@ -77,7 +78,7 @@ class Branch(Newest):
             super().__init__(StoreSource(meta, self._readers, self._standing.at))
         except BaseException:
             self._readers.close()
-            self._writer.close()
+            self._writer.abandon()
             raise
 
     @property
@@ -99,6 +100,10 @@ class Branch(Newest):
     def readers(self) -> Readers:
         """Connections that read."""
         return self._readers
+
+    def changed(self) -> Iterator[Block]:
+        """Blocks that differ from the imported ones at the newest checkpoint."""
+        return self._view.changed()
 
     def append(
         self, op: bytes, *, idem: str | None = None, engine: str = "", summary: str = ""
@@ -163,13 +168,7 @@ class Branch(Newest):
         Raises:
             StoreCorrupt: If a row is not as it was written.
         """
-        with self._readers.borrow() as db:
-            stretches = lineage(db, self._standing.row.epoch)
-        for epoch, until in reversed(stretches):
-            if until >= first:
-                tail = journal.chain_at(self._readers.fetch, epoch, first - 1)
-                for row, _ in journal.read_rows(self._readers.fetch, tail, until):
-                    yield row
+        return oldest_first(self._readers, self._standing.row.epoch, first)
 
     def history(self, limit: int = 100) -> list[JournalRow]:
         """The newest rows of the branch's history, newest first.
@@ -178,15 +177,7 @@ class Branch(Newest):
             InputError: If the limit is negative.
             StoreCorrupt: If a row is not as it was written.
         """
-        if limit < 0:
-            raise InputError(f"limit must not be negative, got {limit}")
-        with self._readers.borrow() as db:
-            stretches = lineage(db, self._standing.row.epoch)
-        found: list[JournalRow] = []
-        for epoch, until in stretches:
-            left = limit - len(found)
-            found += journal.newest_rows(self._readers.fetch, epoch, until, left) if left else []
-        return found
+        return newest_first(self._readers, self._standing.row.epoch, limit)
 
     def checkpoint(self, blocks: Mapping[Block, BlockData | None], seq: int) -> Checkpoint:
         """Write images of what has changed since the last checkpoint.

@@ -7,7 +7,7 @@ whoever reads one learns that it is gone, then its blobs, then the room they too
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -87,15 +87,18 @@ def reachable(nodes: Nodes, roots: Iterable[bytes]) -> set[bytes]:
     return held
 
 
-def _needed(db: apsw.Connection) -> tuple[list[Checkpoint], set[int]]:
-    """The checkpoints that have a name, and the epochs of their histories."""
+def _needed(db: apsw.Connection) -> tuple[list[Checkpoint], dict[int, int]]:
+    """The checkpoints that have a name, and up to where each epoch is in one of their histories."""
     names = read_names(db)
     numbers = {one.checkpoint for one in names.branches.values()}
     numbers |= {one.checkpoint for one in names.snapshots.values()}
     named = [records.required(db, Checkpoint, number) for number in sorted(numbers)]
-    epochs: set[int] = set()
-    for one in {checkpoint.epoch for checkpoint in named}:
-        epochs |= {stretch.epoch.id for stretch in lineage(db, one)}
+    heads = {one.epoch for one in names.branches.values()}
+    epochs: dict[int, int] = {}
+    for one in named:
+        for epoch, until in lineage(db, one.epoch):
+            named_last = epoch.id == one.epoch and epoch.id not in heads
+            epochs[epoch.id] = max(one.seq if named_last else until, epochs.get(epoch.id, 0))
     return named, epochs
 
 
@@ -106,23 +109,22 @@ def _drop_checkpoints(writer: Writer, needed: set[int]) -> int:
     return _delete(writer, "DELETE FROM checkpoint WHERE id = ?", gone, _ROWS_AT_ONCE)
 
 
-def _drop_epochs(writer: Writer, needed: set[int]) -> int:
+def _drop_epochs(writer: Writer, needed: Container[int]) -> int:
     with writer.transaction() as work:
         ids = [row[0] for row in work.db.execute("SELECT id FROM epoch").fetchall()]
     gone = [(number,) for number in ids if number not in needed]
     return _delete(writer, "DELETE FROM epoch WHERE id = ?", gone, _ROWS_AT_ONCE)
 
 
-def _drop_rows(writer: Writer, readers: Readers, needed: set[int]) -> int:
-    """Journal rows of epochs that are not needed."""
+def _drop_rows(writer: Writer, readers: Readers, needed: Mapping[int, int]) -> int:
+    """Journal rows that are in no history, newest first, so that what is left stays chained."""
     count = 0
     for epoch in _journal_epochs(readers):
-        while epoch not in needed:
-            sql = "SELECT id FROM journal WHERE id >= ? AND id < ? LIMIT ?"
-            span = row_id(epoch, 0), row_id(epoch + 1, 0)
-            found = readers.fetch(sql, (*span, _ROWS_AT_ONCE))
-            if not found:
-                break
+        span = row_id(epoch, needed.get(epoch, -1)), row_id(epoch + 1, 0)
+        while found := readers.fetch(
+            "SELECT id FROM journal WHERE id > ? AND id < ? ORDER BY id DESC LIMIT ?",
+            (*span, _ROWS_AT_ONCE),
+        ):
             count += _delete(writer, "DELETE FROM journal WHERE id = ?", found, _ROWS_AT_ONCE)
     return count
 

@@ -165,6 +165,18 @@ class StoreSource:
         rect = Span(row, row + factor, col, col + factor)
         return sorted(one for one, _ in self.nodes.entries(self._at, DETAIL, rect))
 
+    def changed(self) -> Iterator[Block]:
+        """All blocks that differ from the terrain as imported, detail first, in order of levels.
+
+        Raises:
+            RunError: As ``block``.
+            StoreCorrupt: As ``block``.
+        """
+        finest = DETAIL if self._at.factor > 1 else 0
+        for level in range(finest, self._grid.levels):
+            rect = self.nodes.extent(level, self._at.factor).rows
+            yield from (key for key, _ in self.nodes.entries(self._at, level, rect))
+
     def close(self) -> None:
         """Close the connections that are idle. Reading on opens new ones."""
         self._readers.close()

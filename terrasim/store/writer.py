@@ -146,6 +146,12 @@ class Writer:
                 self._close_log()
                 self._claim.release(well=well)
 
+    def abandon(self) -> None:
+        """Give the lock back and leave all as it is, the note of what was acknowledged too."""
+        with self.lock:
+            self._failure = self._failure or "it was abandoned"
+            self.close()
+
     def _open(self, note: Note | None) -> apsw.Connection:
         with writing(self.path):
             log = check_log(self.path, note)
