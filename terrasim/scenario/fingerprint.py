@@ -14,9 +14,15 @@ def hash_heights(terrain: Terrain) -> str:
 
     It does not depend on which blocks are resident: what was edited is written back first.
     """
+    terrain.settle()
     terrain.cache.flush()
     digest = blake2b(digest_size=16)
-    for key in terrain.ground.edited:
+    keys = set(terrain.ground.edited)
+    branch = terrain.edits and terrain.edits.branch
+    if branch:
+        # What the store holds by now, the ground has let go of.
+        keys.update(branch.changed())
+    for key in sorted(keys):
         data = terrain.ground.block(key)
         bounds = [data.lowest, data.highest, data.error]
         digest.update(np.array([*key, *bounds], dtype="<i8").tobytes())
