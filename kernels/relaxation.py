@@ -266,8 +266,10 @@ def move(
 
 
 @wp.func
-def is_near(awake: wp.array2d(dtype=int), row: int, col: int) -> bool:
+def is_near(awake: wp.array2d(dtype=int), amid: int, row: int, col: int) -> bool:
     """Whether a post lies within the reach of an awake plot; rows and columns from the map's."""
+    if amid == 1:
+        return True
     row0 = (row - REACH) >> PLOT_SHIFT
     row1 = (row + REACH) >> PLOT_SHIFT
     col0 = (col - REACH) >> PLOT_SHIFT
@@ -276,9 +278,9 @@ def is_near(awake: wp.array2d(dtype=int), row: int, col: int) -> bool:
 
 
 @wp.func
-def whole(total: wp.float32, field: Field, open_: bool) -> wp.float64:
-    """What flowed along an edge, in whole counts."""
-    return wp.where(open_, wp.rint(wp.float64(total) / field.parts), _NONE)
+def whole(total: wp.float32, part: wp.float64, counts: bool) -> wp.float64:
+    """What flowed along an edge, in whole counts; nothing where it does not count."""
+    return wp.where(counts, wp.rint(wp.float64(total) * part), _NONE)
 
 
 @wp.kernel(enable_backward=False)
@@ -289,7 +291,7 @@ def finish(
     east_sum: wp.array(dtype=wp.float32),
     north_sum: wp.array(dtype=wp.float32),
     awake: wp.array2d(dtype=int),
-    at: wp.array(dtype=wp.vec2i),
+    at: wp.array(dtype=wp.vec3i),
     to_width: int,
     to_plot: wp.array(dtype=int),
     # Out:
@@ -301,7 +303,7 @@ def finish(
 ):
     """End an iteration: what flowed becomes whole counts along each edge, and posts change by it.
 
-    ``at`` is the first post of each plot in the map of awake plots.
+    ``at`` is the first post of each plot in the map of awake plots, and 1 if all around are awake.
     """
     i = wp.tid()
     first = place_of(field, plot, item[i])
@@ -310,14 +312,17 @@ def finish(
     row = at[number][0] + ((post >> PLOT_SHIFT) & _MASK)
     col = at[number][1] + (post & _MASK)
     target = to_plot[number] + ((post >> PLOT_SHIFT) & _MASK) * to_width + (post & _MASK)
+    amid = at[number][2]
+    part = _ONE / field.parts
     tally = Tally()
     for k in range(field.run):
         p = first + k
-        here = is_near(awake, row, col + k)
-        east = whole(east_sum[p], field, here and is_near(awake, row, col + k + 1))
-        west = whole(east_sum[p - 1], field, here and is_near(awake, row, col + k - 1))
-        north = whole(north_sum[p], field, here and is_near(awake, row + 1, col + k))
-        south = whole(north_sum[p - field.width], field, here and is_near(awake, row - 1, col + k))
+        here = is_near(awake, amid, row, col + k)
+        east = whole(east_sum[p], part, here and is_near(awake, amid, row, col + k + 1))
+        west = whole(east_sum[p - 1], part, here and is_near(awake, amid, row, col + k - 1))
+        north = whole(north_sum[p], part, here and is_near(awake, amid, row + 1, col + k))
+        below = p - field.width
+        south = whole(north_sum[below], part, here and is_near(awake, amid, row - 1, col + k))
         gain = wp.int64((west - east) + (south - north))
         gain_out[target + k] = wp.float64(gain)
         tally.moved += wp.int64(wp.abs(east) + wp.abs(north))

@@ -36,8 +36,10 @@ FINEST = 2**20
 """Parts of a count of 10 micrometres at most: heights in parts are then exact in a float64."""
 PARTS = 4096
 """Parts of a count that flows are counted in where that is not too fine."""
-PART_PLOTS = 14
-"""Plots along a side of a part: with its margin 512 posts, 7 MB."""
+PART_PLOTS = 10
+"""Plots along a side of a part on the CPU: with its margin 400 posts a side, 4 MB."""
+CUDA_PART_PLOTS = 62
+"""Plots along a side of a part on CUDA: 120 MB."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Slump:
         *,
         device: Any,
         threads: int = 1,
-        part: int = PART_PLOTS,
+        part: int | None = None,
     ) -> None:
         """Send the posts to the device.
 
@@ -98,16 +100,18 @@ class Slump:
             repose: How steep the ground stays.
             device: Warp device.
             threads: CPU threads a launch may be split over.
-            part: Plots along a side of what is worked on at once, at least 1.
+            part: Plots along a side of what is worked on at once, at least 1; the bits do not
+                depend on it.
         """
         self.shape = heights.shape[0] // PLOT, heights.shape[1] // PLOT
         """Plots along y and along x."""
-        self._device, self._threads, self._part = device, threads, part
+        self._device, self._threads = device, threads
+        self._part = part or (CUDA_PART_PLOTS if device.is_cuda else PART_PLOTS)
         run = 1 if device.is_cuda else PLOT
         self._runs = PLOT * PLOT // run
         self._sheet = _field(heights.shape[1], run, repose)
         # Beyond the margin of a part its outermost posts read what need not be known.
-        self._across = min(part, max(self.shape)) + 4
+        self._across = min(self._part, max(self.shape)) + 4
         self._field = _field(self._across * PLOT, run, repose)
         self._count = self._array(heights.ravel(), wp.float64)
         self._gain = self._zeros(heights.size, wp.float64)
@@ -133,24 +137,39 @@ class Slump:
         near = widened(awake)
         mine = near if own is None else near & own
         flags = self._array(np.pad(awake, 1).astype(np.int32), wp.int32)
+        amid = ~widened(~awake)
         found = np.zeros(self.shape, dtype=np.bool_)
         sums = np.zeros(4, dtype=np.int64)
-        for row, col in _parts(mine, self._part):
-            rows, cols = slice(row, row + self._part), slice(col, col + self._part)
-            inner = np.zeros_like(mine)
-            inner[rows, cols] = mine[rows, cols]
-            rows_of, cols_of = np.nonzero(inner)
+        parts = [(corner, self._inner(mine, corner)) for corner in _corners(mine, self._part)]
+        for corner, inner in parts:
+            plots = np.argwhere(inner)
+            at = np.column_stack([(plots + 1) * PLOT, amid[inner]])
             around = np.argwhere(widened(inner) & near)
-            tally = self._work(np.stack([rows_of, cols_of], axis=1), around, (row, col), flags)
-            found[rows_of, cols_of] = tally["awake"].any(axis=1)
+            tally = self._work(corner, plots, around, flags, self._array(at, wp.vec3i))
+            found[inner] = tally["awake"].any(axis=1)
             sums += [int(tally[name].sum(dtype=np.int64)) for name in _SUMS]
-        at = np.argwhere(mine)
-        self._launch(kernels.settle, at, [self._sheet, self._starts(at), self._gain], [self._count])
+        # A part reads the posts around it as they were.
+        for _, inner in parts:
+            plots = np.argwhere(inner)
+            shared = [self._sheet, self._starts(plots), self._gain]
+            self._launch(kernels.settle, plots, shared, [self._count])
         moved, removed, added, posts = sums.tolist()
         return Moved(moved, removed, added, posts, found)
 
+    def _inner(self, plots: Plots, corner: tuple[int, int]) -> Plots:
+        """Those of the plots that lie in a part."""
+        found = np.zeros_like(plots)
+        part = tuple(slice(first, first + self._part) for first in corner)
+        found[part] = plots[part]
+        return found
+
     def _work(
-        self, inner: npt.NDArray[Any], around: npt.NDArray[Any], corner: tuple[int, int], flags: Any
+        self,
+        corner: tuple[int, int],
+        inner: npt.NDArray[Any],
+        around: npt.NDArray[Any],
+        flags: Any,
+        at: Any,
     ) -> npt.NDArray[Any]:
         """All sweeps of a part; what flowed becomes the gain of its inner plots."""
         offset = np.subtract((2, 2), corner)
@@ -169,7 +188,6 @@ class Slump:
             self._launch(kernels.find_flows, around, shared, flows)
             self._launch(kernels.move, around, [field, plots, *flows[:2]], [height])
         tally: Any = wp.empty(len(inner) * self._runs, dtype=kernels.Tally, device=self._device)
-        at = self._array(((inner + 1) * PLOT).astype(np.int32), wp.vec2i)
         launch(
             kernels.finish,
             len(inner) * self._runs,
@@ -206,6 +224,8 @@ class Slump:
         )
 
     def _array(self, values: npt.NDArray[Any], dtype: Any) -> Any:
+        if values.dtype == np.int64:
+            values = values.astype(np.int32)
         return wp.array(values, dtype=dtype, device=self._device)
 
     def _zeros(self, size: int, dtype: Any) -> Any:
@@ -223,7 +243,7 @@ def widened(plots: Plots) -> Plots:
     return found
 
 
-def _parts(plots: Plots, part: int) -> Iterator[tuple[int, int]]:
+def _corners(plots: Plots, part: int) -> Iterator[tuple[int, int]]:
     """First plots of the parts that hold any of the plots."""
     for row in range(0, plots.shape[0], part):
         for col in range(0, plots.shape[1], part):
