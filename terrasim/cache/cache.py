@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from terrasim.cache.bring import bring
 from terrasim.cache.coarsen import coarsen
 from terrasim.cache.counters import Counters
 from terrasim.cache.detail_table import DetailTable
@@ -76,7 +77,7 @@ class Cache:
         self.detail_capacity = detail_layers
         """Detail blocks it can hold."""
         try:
-            self._bring(top, set(top))
+            bring(self._held, self._loader, top, set(top))
         except BaseException:
             self._loader.close()
             raise
@@ -117,15 +118,15 @@ class Cache:
             start = time.perf_counter()
             self.counters.misses += len(missing)
             self.counters.stalls += 1
-            self._bring(missing, needed)
+            bring(self._held, self._loader, missing, needed)
             self.counters.stall_ms += (time.perf_counter() - start) * 1e3
         held.last_used[[held.layer[key] for key in needed]] = held.tick
         for key in needed - held.needed:
             self.required.set(key, held.layer[key])
         held.needed = needed
         self._requirement = [key for key in fitting.blocks if key in needed]
-        for key in fitting.raised & held.layer.keys():
-            self._note_coarsened(key)
+        errors = [held.bounds[held.layer[key]][2] for key in fitting.raised & held.layer.keys()]
+        self.counters.coarsened_error = max([self.counters.coarsened_error, *errors])
         held.publish()
 
     def restore(self) -> None:
@@ -145,7 +146,7 @@ class Cache:
         missing = [key for key in displaced if key not in held.layer]
         self.counters.misses += len(missing)
         self.counters.stalls += bool(missing)
-        self._bring(missing, set(self._requirement))
+        bring(self._held, self._loader, missing, set(self._requirement))
         for key in displaced:
             self.required.set(key, held.layer[key])
         held.needed.update(displaced)
@@ -331,7 +332,7 @@ class Cache:
         self._requirement.clear()
         self._late.clear()
         self._queue.want([])
-        self._bring(sorted(self._top), set(self._top))
+        bring(self._held, self._loader, sorted(self._top), set(self._top))
         self._show_top()
 
     def close(self) -> None:
@@ -360,7 +361,12 @@ class Cache:
                 f"{self.detail_capacity}; raise detail_pool_bytes"
             )
         self._held.tick += 1
-        self._bring([key for key in held if key not in self._held.layer], set(held))
+        bring(
+            self._held,
+            self._loader,
+            [key for key in held if key not in self._held.layer],
+            set(held),
+        )
         self._held.last_used[[self._held.layer[key] for key in keys]] = self._held.tick
         self._held.publish()
 
@@ -386,35 +392,6 @@ class Cache:
                 held.needed.discard(key)
                 self.required.clear(key)
             self.counters.coarsened += 1
-
-    def _note_coarsened(self, key: Block) -> None:
-        error = self._held.bounds[self._held.layer[key]][2]
-        self.counters.coarsened_error = max(self.counters.coarsened_error, error)
-
-    def _bring(self, missing: list[Block], keep: set[Block]) -> None:
-        """Wait for blocks and place them, each as soon as it has been read."""
-        held = self._held
-        held.admit_awaited([key for key in missing if key in held.arriving])
-        left = [key for key in missing if key not in held.layer]
-        if left:
-            # Copies end in the order they began, so that the rest is there before what is left.
-            held.admit_awaited(list(held.arriving))
-        try:
-            self._load(left, keep)
-        finally:
-            held.publish()
-
-    def _load(self, left: list[Block], keep: set[Block]) -> None:
-        """Read blocks, as many at a time as the loader has slots, and place them in their order."""
-        for first in range(0, len(left), self._loader.slots):
-            part = left[first : first + self._loader.slots]
-            for key in part:
-                self._loader.ask(key)
-            for key in part:
-                layer = self._held.free_layer(keep)
-                if layer is None:
-                    raise RunError("the pool is full of required blocks; raise pool_bytes")
-                self._held.place(key, layer, keep, urgent=True)
 
 
 def _nothing() -> None:
