@@ -144,6 +144,9 @@ class Terrain:
                 self.edits.close()
         finally:
             self.cache.close()
+            # What is done to it holds the terrain in turn: its memory would wait for the collector.
+            self.edits = None
+            self.cache.before_reading = _nothing
 
     def __enter__(self) -> Self:
         """Use the terrain as a context manager."""
@@ -157,6 +160,10 @@ class Terrain:
     ) -> None:
         """Close."""
         self.close()
+
+
+def _nothing() -> None:
+    """Nothing waits any more."""
 
 
 def lattice_of(grid: Grid) -> Any:

@@ -14,9 +14,6 @@ from terrasim.scenario.stages import StageTimer
 from terrasim.sources.source import Source
 from terrasim.terrain import Terrain
 
-STORE = "ground.store"
-"""Name of the store in a run's folder."""
-
 
 class ChangingGround:
     """A scenario's terrain and what is done to it."""

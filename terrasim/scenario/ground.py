@@ -8,7 +8,8 @@ from pydantic import Field
 
 from terrasim.scenario.settings import Settings
 
-Positive = Annotated[float, Field(gt=0.0)]
+STORE = "ground.store"
+"""Name of the store in a run's folder."""
 
 
 class DetailSettings(Settings):

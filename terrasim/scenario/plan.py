@@ -10,11 +10,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from terrasim.cache.pool import BLOCK_BYTES, BLOCK_POSTS, STAGING_SLOTS, layers_for
+from terrasim.cache.detail_table import section_entries
+from terrasim.cache.pool import (
+    BLOCK_BYTES,
+    BLOCK_POSTS,
+    STAGING_SLOTS,
+    detail_layers_for,
+    layers_for,
+)
 from terrasim.cache.table import table_entries
+from terrasim.detail.grid import DetailGrid
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.scenario.actors import AgentPath, SampleGroup
+from terrasim.scenario.ground import STORE
 from terrasim.scenario.scenario import Scenario
 from terrasim.scenario.terrain import DemGround, Ground, SampleGround, StoreGround
 from terrasim.sources.source import Source
@@ -120,6 +129,7 @@ def make_plan(scenario: Scenario, source: Source) -> Plan:
     grid = source.grid
     parts = (
         terrain_part(scenario),
+        *ground_parts(scenario),
         *actor_parts(scenario),
         *output_parts(scenario),
     )
@@ -184,6 +194,32 @@ def terrain_part(scenario: Scenario) -> Part:
     return Part("terrain", True, f"terrain.kind = {ground.kind!r}", tuple(modules), kernels)
 
 
+def ground_parts(scenario: Scenario) -> list[Part]:
+    """How the ground changes and lasts."""
+    detail, relaxation = scenario.detail, scenario.relaxation
+    return [
+        Part(
+            "detail",
+            detail is not None,
+            f"detail.factor = {detail.factor}" if detail else "no table [detail]",
+        ),
+        Part(
+            "relaxation",
+            relaxation is not None,
+            f"relaxation.angle_deg = {relaxation.angle_deg:g}"
+            if relaxation
+            else "no table [relaxation]",
+            kernels=("terrasim.kernels.relaxation",),
+        ),
+        Part(
+            "store",
+            scenario.store is not None,
+            f"kept in {STORE}" if scenario.store else "no table [store]",
+            modules=("apsw", "zstandard"),
+        ),
+    ]
+
+
 def actor_parts(scenario: Scenario) -> list[Part]:
     """What happens on the ground."""
     stamps = len(scenario.stamps) + sum(group.count for group in scenario.scatter)
@@ -232,7 +268,8 @@ def output_parts(scenario: Scenario) -> list[Part]:
 def pool_buffers(scenario: Scenario, grid: Grid) -> list[Buffer]:
     """The pool and its pointer tables."""
     layers = layers_for(grid, scenario.pool.bytes)
-    entries = table_entries(grid, layers)
+    fine = _detail_layers(scenario, grid, layers)
+    entries = table_entries(grid, layers) + section_entries(layers, fine)
     found = [
         Buffer(f"pool, {layers} blocks", "terrain", DEVICE, layers * BLOCK_BYTES),
         Buffer("error bound of each block", "terrain", DEVICE, 4 * layers),
@@ -240,10 +277,19 @@ def pool_buffers(scenario: Scenario, grid: Grid) -> list[Buffer]:
         Buffer("pointer table: resident", "terrain", DEVICE, 4 * entries),
         Buffer("pointer table: required", "terrain", DEVICE, 4 * entries),
     ]
+    if fine:
+        found.append(Buffer(f"detail, {fine} blocks", "detail", DEVICE, fine * BLOCK_BYTES))
     if scenario.run.device != "cpu":
         pinned = STAGING_SLOTS * 4 * (BLOCK_POSTS + 1)
         found.append(Buffer("pinned staging", "terrain", HOST, pinned))
     return found
+
+
+def _detail_layers(scenario: Scenario, grid: Grid, layers: int) -> int:
+    if scenario.detail is None:
+        return 0
+    detail = DetailGrid(grid, scenario.detail.factor)
+    return detail_layers_for(detail, scenario.detail.bytes, layers)
 
 
 def ball_buffers(scenario: Scenario) -> list[Buffer]:

@@ -8,10 +8,10 @@ from typing import Any
 
 from terrasim.output.report import write_report
 from terrasim.progress import Progress, silent
-from terrasim.scenario.changing_ground import STORE
 from terrasim.scenario.device_memory import counted_memory
 from terrasim.scenario.estimate import estimate
 from terrasim.scenario.fingerprint import hash_heights
+from terrasim.scenario.ground import STORE
 from terrasim.scenario.images import read_images
 from terrasim.scenario.libraries import import_libraries
 from terrasim.scenario.outputs import (
