@@ -277,6 +277,22 @@ def test_the_levels_follow_the_detail() -> None:
             np.testing.assert_array_equal(terrain.cache.pool.read(layer), total[np.ix_(*at)])
 
 
+@pytest.mark.parametrize("post", [(0, 0), (128, 60), (249, 242), (-20, -37)])
+def test_one_post_of_detail_reaches_the_level_above(post: tuple[int, int]) -> None:
+    """Where the level has that post; its bound knows of it where it has not."""
+    y, x = post[0] * GRID.spacing, post[1] * GRID.spacing
+    with opened(np.zeros((GRID.rows, GRID.cols), np.int32)) as terrain:
+        ledger = apply_stamps(terrain, [ConeStamp(x, y, 0.1, 1.0, detail=True)])
+        assert (ledger.posts, ledger.net) == (1, 100_000 * FACTOR)
+        key = Block(1, post[0] >> 9, post[1] >> 9)
+        [layer] = terrain.cache.hold([key])
+        posts = terrain.cache.pool.read(layer)
+        if post[0] % 2 == post[1] % 2 == 0:
+            assert posts[(post[0] >> 1) & 255, (post[1] >> 1) & 255] == 100_000
+            assert terrain.cache.describe(key)[1] == 100_000
+        assert terrain.cache.describe(key)[2] >= 100_000 * (1 - 1 / FACTOR)
+
+
 def test_the_volume_of_detail_is_the_closed_form() -> None:
     """A cone over a third of a metre of posts: within the squared spacing of its detail."""
     with opened(np.zeros((GRID.rows, GRID.cols), np.int32)) as terrain:
