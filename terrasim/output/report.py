@@ -11,10 +11,16 @@ from string import Template
 from typing import Any
 
 from terrasim.cache.counters import Counters
-from terrasim.deform.ledger import Ledger
 from terrasim.errors import RunError
-from terrasim.output.report_table import bar_rows, bytes_text, metres_text, number_text, table
-from terrasim.scenario.descriptions import descriptions
+from terrasim.output.report_ground import ledger_html, relaxation_html, store_html
+from terrasim.output.report_table import (
+    bar_rows,
+    bytes_text,
+    explained,
+    metres_text,
+    number_text,
+    table,
+)
 from terrasim.scenario.scenario import flat_settings
 
 REPORT = "report.html"
@@ -179,7 +185,7 @@ def _plan(record: Record) -> str:
 
 
 def _counters(record: Record) -> str:
-    return _explained(record["counters"], Counters)
+    return explained(record["counters"], Counters)
 
 
 def _balls(record: Record) -> str:
@@ -207,18 +213,6 @@ _MEANING = {
     "at_rest": "Balls slower than 1 mm/s at the end.",
     "fastest_m_s": "Speed of the fastest ball at the end.",
 }
-
-
-def _ledger(record: Record) -> str:
-    ledger = record["ledger"]
-    if not ledger["posts"]:
-        return ""
-    lead = (
-        f"<p>Stamps removed {ledger['removed_m3']:,.1f} m<sup>3</sup> of ground and added "
-        f"{ledger['added_m3']:,.1f} m<sup>3</sup>: {ledger['net_m3']:+,.1f} m<sup>3</sup> in all. "
-        "The counts below are whole numbers and exact.</p>"
-    )
-    return lead + _explained(ledger, Ledger)
 
 
 def _samples(record: Record) -> str:
@@ -252,22 +246,14 @@ def _made_with(record: Record) -> str:
     )
 
 
-def _explained(values: Record, kind: type) -> str:
-    """Numbers of a dataclass with what it says of them."""
-    lines = descriptions(kind)
-    rows = [
-        (escape(name.replace("_", " ")), number_text(values[name]), escape(" ".join(text.split())))
-        for name, text in lines.items()
-    ]
-    return table(("counted", "", "meaning"), rows, numbers=(1,))
-
-
 _SAMPLE_KEYS = ("count", "level", "lowest_m", "mean_m", "highest_m", "without_ground")
 _SECTIONS: Iterable[tuple[str, str, Callable[[Record], str]]] = (
     ("errors", "How wrong it is", _errors),
     ("timing", "What it cost", _timing),
     ("balls", "Balls", _balls),
-    ("ledger", "What the ground lost and gained", _ledger),
+    ("ledger", "What the ground lost and gained", ledger_html),
+    ("relaxation", "How it slumped", relaxation_html),
+    ("store", "What keeps it", store_html),
     ("samples", "Heights asked for", _samples),
     ("plan", "What it needed", _plan),
     ("counters", "What the cache did", _counters),

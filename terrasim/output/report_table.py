@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from html import escape
+from typing import Any
+
+from terrasim.scenario.descriptions import descriptions
 
 Cells = Sequence[str]
 
@@ -44,6 +47,15 @@ def bar_rows(rows: Sequence[tuple[str, float, int]], whole: float) -> str:
         often = f"{times:,} times" if times > 1 else "once"
         cells.append((escape(name), bar, f"{seconds:.3f} s", f"{part:.1f} %", often))
     return table(("stage", "", "wall", "part", "how often"), cells, numbers=(2, 3, 4))
+
+
+def explained(values: Mapping[str, Any], kind: type) -> str:
+    """Numbers of a dataclass with what it says of them."""
+    rows = [
+        (escape(name.replace("_", " ")), number_text(values[name]), escape(" ".join(text.split())))
+        for name, text in descriptions(kind).items()
+    ]
+    return table(("counted", "", "meaning"), rows, numbers=(1,))
 
 
 def bytes_text(count: int) -> str:

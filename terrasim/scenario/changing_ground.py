@@ -58,6 +58,22 @@ class ChangingGround:
         if self._scenario.relaxation is not None:
             self._awake += tuple(self._woken(operation))
 
+    def go_on(self, dynamics: Any, step: int) -> list[Span]:
+        """Let dynamics go on to the time of a step.
+
+        Args:
+            dynamics: A :class:`~terrasim.scenario.running_dynamics.RunningDynamics`.
+            step: The step.
+
+        Returns:
+            Rectangles of level-0 cells to look at again.
+        """
+        with self._timer.stage("advance dynamics"):
+            ledger, boxes = dynamics.go_on(self.terrain, step)
+        self.ledger += ledger
+        found: list[Span] = boxes
+        return found
+
     def slump(self) -> list[Span]:
         """Let what is awake slump for a step.
 
@@ -102,6 +118,15 @@ class ChangingGround:
         if again:
             self._reopen(time_s)
         return bool(again)
+
+    def height_difference(self) -> int | None:
+        """What the heights say was added [counts / the ledger's unit]; None without a change."""
+        if not self.ledger.posts:
+            return None
+        from terrasim.scenario.balance import height_difference
+
+        with self._timer.stage("add up the heights"):
+            return height_difference(self.terrain, self._source, self.ledger.unit)
 
     def summary(self) -> dict[str, Any]:
         """What slumped and what is kept, ready for JSON."""

@@ -40,6 +40,8 @@ class Outcome:
     """What the cache did."""
     ledger: Ledger
     """What was done to the ground."""
+    heights: int | None
+    """What the heights themselves say was added [counts / unit of the ledger]; None unchanged."""
     ground: dict[str, Any]
     """What slumped and what is kept, ready for JSON."""
     ends: npt.NDArray[np.float64] | None
@@ -80,6 +82,7 @@ class Outcome:
         return cls(
             counters=simulation.terrain.cache.counters,
             ledger=simulation.ground.ledger,
+            heights=simulation.ground.height_difference(),
             ground=simulation.ground.summary(),
             ends=None if balls is None else balls.places(simulation.terrain),
             balls={} if balls is None else balls.summary(),
@@ -128,6 +131,7 @@ def make_record(
         "ledger": {
             **asdict(outcome.ledger),
             "net": outcome.ledger.net,
+            "heights": outcome.heights,
             "net_m3": outcome.ledger.volume(spacing),
             "removed_m3": outcome.ledger.removed / outcome.ledger.unit * COUNT_M * spacing**2,
             "added_m3": outcome.ledger.added / outcome.ledger.unit * COUNT_M * spacing**2,
