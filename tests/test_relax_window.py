@@ -12,7 +12,7 @@ import pytest
 import warp as wp
 
 from terrasim.deform.relax_window import relax_window
-from terrasim.deform.slump import START, Repose, Slump
+from terrasim.deform.slump import START, Repose, Scratch, Slump
 from terrasim.errors import InputError
 from terrasim.grid import Span
 from terrasim.kernels.relaxation import PLOT
@@ -220,14 +220,13 @@ def test_what_else_lies_in_the_scratch_arrays_does_not_matter() -> None:
     heights[PLOT:-PLOT, PLOT:-PLOT] = np.random.default_rng(2).integers(
         0, 100_000, (size - 2 * PLOT, size - 2 * PLOT)
     )
-    clean, dirty = (
-        Slump(heights, Repose(35.0, 0.1, PER_METRE), device=wp.get_device("cpu"), part=2)
-        for _ in range(2)
-    )
-    dirty._height.fill_(1e12)
-    dirty._excess.fill_(0.5)
-    for flows in dirty._flows:
-        flows.fill_(-3e9)
+    repose = Repose(35.0, 0.1, PER_METRE)
+    scratch, other = (Scratch(wp.get_device("cpu"), 2) for _ in range(2))
+    clean, dirty = Slump(heights, repose, scratch), Slump(heights, repose, other)
+    for values, rubbish in ((scratch, 0.0), (other, -3e9)):
+        for array in (values.height, values.excess, *values.flows):
+            array.fill_(rubbish)
+    other.excess.fill_(0.5)
     awake = np.zeros(clean.shape, dtype=np.bool_)
     awake[2, 3] = True
     assert clean.iterate(awake)[:4] == dirty.iterate(awake)[:4]

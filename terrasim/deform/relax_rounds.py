@@ -7,11 +7,13 @@ it has not; what is too large for memory goes through one iteration at a time, s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from terrasim.deform.ledger import Ledger
 from terrasim.deform.patch import Patch, apply_patch
 from terrasim.deform.plots import (
     Plots,
@@ -24,10 +26,9 @@ from terrasim.deform.plots import (
     unique,
     widened,
 )
-from terrasim.deform.slump import Moved, Repose, Slump
+from terrasim.deform.slump import Moved, Repose, Scratch, Slump
 from terrasim.deform.target import Target
 from terrasim.deform.window import NO_GROUND, read_window
-from terrasim.errors import RunError
 from terrasim.grid import Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
 from terrasim.terrain import Terrain
@@ -53,19 +54,18 @@ class Progress:
     """Iterations made."""
     moved: int = 0
     """Sum of what flowed [counts]."""
-    removed: int = 0
-    """Sum of the falls [counts]."""
-    added: int = 0
-    """Sum of the rises [counts]."""
-    posts: int = 0
-    """Changes of posts."""
+    ledger: Ledger = field(default_factory=Ledger)
+    """What happened to the posts."""
 
-    def note(self, step: Moved) -> None:
+    def note(self, step: Moved, unit: int) -> None:
         """Take in what an iteration did in a window."""
         self.moved += step.moved
-        self.removed += step.removed
-        self.added += step.added
-        self.posts += step.posts
+        self.ledger += Ledger(step.removed, step.added, step.posts, unit=unit)
+
+    def note_written(self, written: Ledger) -> None:
+        """Take in what the range of heights did not let be written; as a rule nothing."""
+        lost = max(-written.net, 0), max(written.net, 0)
+        self.ledger += Ledger(*lost, clamped=written.clamped, unit=written.unit)
 
 
 def relax_plots(
@@ -73,15 +73,16 @@ def relax_plots(
 ) -> Progress:
     """Relax from some plots on until all sleep or the iterations are used up."""
     progress = Progress(plots)
+    site = _Site(terrain, target, repose, Scratch(terrain.device))
     while len(progress.awake) and progress.iterations < iterations:
         spans = clusters(progress.awake, ROOM)
         if sum(area(span) for span in spans) <= MOST_PLOTS and len(spans) <= MOST_WINDOWS:
-            windows = [_Window(terrain, span, target, repose, progress.awake) for span in spans]
+            windows = [_Window(site, span, progress.awake) for span in spans]
             _go_on(windows, progress, iterations)
             for window in windows:
-                window.write()
+                progress.note_written(window.write())
         else:
-            _iterate_in_squares(terrain, target, repose, progress)
+            _iterate_in_squares(site, progress)
     return progress
 
 
@@ -90,31 +91,29 @@ def _go_on(windows: list[_Window], progress: Progress, iterations: int) -> None:
     while progress.iterations < iterations:
         for window in windows:
             if window.awake.any():
-                progress.note(window.iterate())
+                window.iterate(progress)
         progress.iterations += 1
         progress.awake = unique(np.concatenate([window.plots() for window in windows]))
         if not len(progress.awake) or any(window.is_full() for window in windows):
             return
 
 
-def _iterate_in_squares(
-    terrain: Terrain, target: Target, repose: Repose, progress: Progress
-) -> None:
+def _iterate_in_squares(site: _Site, progress: Progress) -> None:
     """One iteration; a square is written only when those around it have read it."""
     near = widened(progress.awake)
     waiting: list[tuple[int, _Window]] = []
     left = []
     for row, own in _squares(near):
         while waiting and waiting[0][0] < row - 1:
-            waiting.pop(0)[1].write()
+            progress.note_written(waiting.pop(0)[1].write())
         span = grown(bounds(own), 1)
-        window = _Window(terrain, span, target, repose, progress.awake)
-        progress.note(window.iterate(window.map_of(own)))
+        window = _Window(site, span, progress.awake)
+        window.iterate(progress, window.map_of(own))
         left.append(window.plots())
         window.drop()
         waiting.append((row, window))
     for _, window in waiting:
-        window.write()
+        progress.note_written(window.write())
     progress.awake = unique(np.concatenate(left))
     progress.iterations += 1
 
@@ -129,16 +128,23 @@ def _squares(plots: Plots) -> Iterator[tuple[int, Plots]]:
         yield int(part[0, 0]) // SQUARE, part
 
 
+class _Site(NamedTuple):
+    """What all windows of a relaxation share."""
+
+    terrain: Terrain
+    target: Target
+    repose: Repose
+    scratch: Scratch
+
+
 class _Window:
     """A rectangle of plots in memory."""
 
-    def __init__(
-        self, terrain: Terrain, span: Span, target: Target, repose: Repose, awake: Plots
-    ) -> None:
-        self._terrain, self._span, self._target = terrain, span, target
-        self._before = _read(terrain, posts_of(span), target)
+    def __init__(self, site: _Site, span: Span, awake: Plots) -> None:
+        self._site, self._span = site, span
+        self._before = _read(site.terrain, posts_of(span), site.target)
         self._slump: Slump | None = Slump(
-            self._before, repose, device=terrain.device, threads=terrain.threads
+            self._before, site.repose, site.scratch, threads=site.terrain.threads
         )
         self._change: npt.NDArray[np.int64] | None = None
         self.awake = self.map_of(awake)
@@ -152,11 +158,12 @@ class _Window:
         found[at[:, 0], at[:, 1]] = True
         return found
 
-    def iterate(self, own: npt.NDArray[np.bool_] | None = None) -> Moved:
+    def iterate(self, progress: Progress, own: npt.NDArray[np.bool_] | None = None) -> None:
+        """One iteration; only the plots of ``own``, if given, may change."""
         assert self._slump is not None
         step = self._slump.iterate(self.awake, own)
         self.awake = step.awake
-        return step
+        progress.note(step, self._site.target.unit)
 
     def plots(self) -> Plots:
         """Plots that are awake."""
@@ -177,18 +184,16 @@ class _Window:
             self._slump = None
             self._before = np.empty((0, 0))
 
-    def write(self) -> None:
-        """Put what changed to the ground."""
+    def write(self) -> Ledger:
+        """Put what changed to the ground; returns what that did."""
         self.drop()
         assert self._change is not None
         posts = posts_of(self._span)
-        for patch in _patches(self._change, posts.row0, posts.col0, detail=self._target.level < 0):
-            ledger = apply_patch(self._terrain, patch)
-            if ledger.clamped or ledger.holes:
-                raise RunError(
-                    f"slumping left {ledger.clamped} posts at the end of the range of heights and "
-                    f"{ledger.holes} without ground; open the terrain again and use less detail"
-                )
+        ledger = Ledger(unit=self._site.target.unit)
+        detail = self._site.target.level < 0
+        for patch in _patches(self._change, posts.row0, posts.col0, detail=detail):
+            ledger += apply_patch(self._site.terrain, patch)
+        return ledger
 
 
 def _read(terrain: Terrain, posts: Span, target: Target) -> npt.NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from terrasim.deform.slump import Repose, Slump
+from terrasim.deform.slump import Repose, Scratch, Slump
 from terrasim.errors import InputError
 from terrasim.grid import Span
 from terrasim.kernels.relaxation import PLOT
@@ -65,7 +65,7 @@ def relax_window(
     inside = (slice(PLOT, PLOT + rows), slice(PLOT, PLOT + cols))
     sheet = np.full([2 * PLOT - (-size // PLOT) * PLOT for size in values.shape], np.nan)
     sheet[inside] = np.where(values == np.iinfo(values.dtype).min, np.nan, values)
-    slump = Slump(sheet, repose, device=open_device(device), threads=threads, part=part)
+    slump = Slump(sheet, repose, Scratch(open_device(device), part), threads=threads)
     awake = np.zeros(slump.shape, dtype=np.bool_)
     awake[1:-1, 1:-1] = True
     done = moved = 0

@@ -38,8 +38,9 @@ class Relaxed:
     """What a relaxation did and where it has not come to rest."""
 
     ledger: Ledger
-    """What fell and rose, summed over the iterations; the two are equal. A post counts once for
-    each iteration that changed it."""
+    """What fell and rose, summed over the iterations; the two are equal, unless a difference of the
+    detail grid met the end of its range, which is counted as clamped. A post counts once for each
+    iteration that changed it."""
     awake: tuple[Rect, ...]
     """Where something still moved in the last iteration: the regions to go on with. None when all
     is at rest."""
@@ -79,8 +80,7 @@ def relax(
 
     Raises:
         InputError: As :func:`check_relaxation`; nothing is changed then.
-        RunError: If a block cannot be read or written, or the ground would leave the range of
-            heights; the ground may be half-changed then.
+        RunError: If a block cannot be read or written; the ground may be half-changed then.
     """
     target = check_relaxation(
         terrain, regions, angle_deg=angle_deg, iterations=iterations, detail=detail
@@ -88,8 +88,7 @@ def relax(
     posts = _posts_of(target)
     repose = Repose(angle_deg, target.spacing, target.per_metre)
     done = relax_plots(terrain, plots_of(regions, posts), target, repose, iterations)
-    ledger = Ledger(done.removed, done.added, done.posts, unit=target.unit)
-    return Relaxed(ledger, rects_of(done.awake, posts), done.iterations, done.moved)
+    return Relaxed(done.ledger, rects_of(done.awake, posts), done.iterations, done.moved)
 
 
 def check_relaxation(

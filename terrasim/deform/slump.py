@@ -80,47 +80,60 @@ class Moved(NamedTuple):
     """Plots to or from which something flowed, shape as the plots given."""
 
 
+class Scratch:
+    """Arrays of a part that is being worked on; what is in them does not matter."""
+
+    def __init__(self, device: Any, part: int | None = None) -> None:
+        """Allocate them.
+
+        Args:
+            device: Warp device.
+            part: Plots along a side of a part, at least 1; the bits do not depend on it.
+        """
+        self.device = device
+        self.part = part or (CUDA_PART_PLOTS if device.is_cuda else PART_PLOTS)
+        self.across = self.part + 4
+        """Plots along a side of the arrays: a part, the plots around it, which are worked on too,
+        and those around these, which are only read and need not be known."""
+        self.run = 1 if device.is_cuda else PLOT
+        """Posts that a thread works on."""
+        size = (self.across * PLOT) ** 2
+        self.height: Any = wp.empty(size, dtype=wp.float64, device=device)
+        self.flows = [self._blank(size) for _ in range(4)]
+        """To the east and the north, in a sweep and in an iteration."""
+        self.excess = self._blank(size)
+        self.items: Any = wp.array(
+            np.arange(size // self.run, dtype=np.int32), dtype=wp.int32, device=device
+        )
+        """Numbers of runs."""
+
+    def _blank(self, size: int) -> Any:
+        return wp.empty(size, dtype=wp.float32, device=self.device)
+
+
 class Slump:
     """A rectangle of posts on the device."""
 
     def __init__(
-        self,
-        heights: Heights,
-        repose: Repose,
-        *,
-        device: Any,
-        threads: int = 1,
-        part: int | None = None,
+        self, heights: Heights, repose: Repose, scratch: Scratch, *, threads: int = 1
     ) -> None:
         """Send the posts to the device.
 
         Args:
             heights: Heights [counts], whole numbers, NaN for holes; rows and columns are multiples
-                of ``PLOT``. Plots along the rectangle's edge must stay asleep.
+                of ``PLOT``.
             repose: How steep the ground stays.
-            device: Warp device.
+            scratch: Arrays to work in.
             threads: CPU threads a launch may be split over.
-            part: Plots along a side of what is worked on at once, at least 1; the bits do not
-                depend on it.
         """
         self.shape = heights.shape[0] // PLOT, heights.shape[1] // PLOT
         """Plots along y and along x."""
-        self._device, self._threads = device, threads
-        self._part = part or (CUDA_PART_PLOTS if device.is_cuda else PART_PLOTS)
-        run = 1 if device.is_cuda else PLOT
-        self._runs = PLOT * PLOT // run
-        self._sheet = _field(heights.shape[1], run, repose)
-        # Beyond the margin of a part its outermost posts read what need not be known.
-        self._across = min(self._part, max(self.shape)) + 4
-        self._field = _field(self._across * PLOT, run, repose)
+        self._scratch, self._threads, self._part = scratch, threads, scratch.part
+        self._runs = PLOT * PLOT // scratch.run
+        self._sheet = _field(heights.shape[1], scratch.run, repose)
+        self._field = _field(scratch.across * PLOT, scratch.run, repose)
         self._count = self._array(heights.ravel(), wp.float64)
-        self._gain = self._zeros(heights.size, wp.float64)
-        plots = self._across**2
-        size = plots * PLOT * PLOT
-        self._height = self._zeros(size, wp.float64)
-        self._flows = [self._zeros(size, wp.float32) for _ in range(4)]
-        self._excess = self._zeros(size, wp.float32)
-        self._items = self._array(np.arange(plots * self._runs, dtype=np.int32), wp.int32)
+        self._gain: Any = wp.empty(heights.size, dtype=wp.float64, device=scratch.device)
 
     def heights(self) -> Heights:
         """Heights as they are now [counts], shape ``(rows, cols)``; NaN for holes."""
@@ -132,7 +145,8 @@ class Slump:
 
         Args:
             awake: Plots in which something may be too steep, shape ``shape``.
-            own: Plots that may change; without, all within reach of those awake.
+            own: Plots that may change; without, all within reach of those awake. The plots around
+                those awake must be there if they may change, and the plots around both.
         """
         near = widened(awake)
         mine = near if own is None else near & own
@@ -174,8 +188,9 @@ class Slump:
         """All sweeps of a part; what flowed becomes the gain of its inner plots."""
         offset = np.subtract((2, 2), corner)
         field, width = self._field, self._sheet.width
-        plots = self._starts(around + offset, self._across)
-        height, excess, flows = self._height, self._excess, self._flows
+        scratch = self._scratch
+        plots = self._starts(around + offset, scratch.across)
+        height, excess, flows = scratch.height, scratch.excess, scratch.flows
         self._launch(
             kernels.begin,
             around,
@@ -187,16 +202,16 @@ class Slump:
             shared = [field, plots, height, excess, _pace(sweep)]
             self._launch(kernels.find_flows, around, shared, flows)
             self._launch(kernels.move, around, [field, plots, *flows[:2]], [height])
-        tally: Any = wp.empty(len(inner) * self._runs, dtype=kernels.Tally, device=self._device)
+        tally: Any = wp.empty(len(inner) * self._runs, dtype=kernels.Tally, device=scratch.device)
         launch(
             kernels.finish,
             len(inner) * self._runs,
             shared=[
-                *(field, self._starts(inner + offset, self._across), *flows[2:], flags, at),
+                *(field, self._starts(inner + offset, scratch.across), *flows[2:], flags, at),
                 *(width, self._starts(inner), self._gain),
             ],
-            items=[self._items[: len(inner) * self._runs], tally],
-            device=self._device,
+            items=[scratch.items[: len(inner) * self._runs], tally],
+            device=scratch.device,
             threads=self._threads,
         )
         found: npt.NDArray[Any] = tally.numpy().reshape(len(inner), self._runs)
@@ -211,8 +226,8 @@ class Slump:
             kernel,
             runs,
             shared=[*shared, *changed],
-            items=[self._items[:runs]],
-            device=self._device,
+            items=[self._scratch.items[:runs]],
+            device=self._scratch.device,
             threads=self._threads,
         )
 
@@ -226,10 +241,7 @@ class Slump:
     def _array(self, values: npt.NDArray[Any], dtype: Any) -> Any:
         if values.dtype == np.int64:
             values = values.astype(np.int32)
-        return wp.array(values, dtype=dtype, device=self._device)
-
-    def _zeros(self, size: int, dtype: Any) -> Any:
-        return wp.zeros(size, dtype=dtype, device=self._device)
+        return wp.array(values, dtype=dtype, device=self._scratch.device)
 
 
 _SUMS = ("moved", "removed", "added", "posts")
