@@ -23,6 +23,7 @@ from terrasim.cache.ground import Ground
 from terrasim.cache.needs import Disc, region_blocks
 from terrasim.cache.pool import BLOCK_POSTS, STAGING_SLOTS
 from terrasim.counts import Counts
+from terrasim.detail.grid import DetailGrid
 from terrasim.grid import Block, Grid, Indices
 from terrasim.kernels.addressing import ABSENT, BLOCK, HEADER, PAGE
 from terrasim.sources.source import BlockData, read_block
@@ -306,6 +307,64 @@ def test_a_random_script_leaves_the_device_true_at_every_step(cache: Cache, gpu:
         check_device(cache, edited)
     assert cache.counters.written_back > 20
     assert cache.counters.evictions > 200
+
+
+def detail_on_device(cache: Cache, table: Any) -> tuple[set[int], dict[Block, int]]:
+    """Layers flagged as having detail, and detail blocks and their layers, as the device has it."""
+    detail = cache.detail_table
+    assert detail is not None
+    entries = table.entries.numpy()[detail.start :]
+    slots = entries[LAYERS:].reshape(-1, 3).tolist()
+    found = {Block(-1, row, col): layer for row, col, layer in slots if layer != ABSENT}
+    return set(np.flatnonzero(entries[:LAYERS] == 1).tolist()), found
+
+
+def check_detail(cache: Cache, there: dict[Block, int], edited: dict[Block, Counts]) -> None:
+    """Blocks a kernel finds now come with all their detail, and none is flagged that has none."""
+    detail = DetailGrid(GRID, 4)
+    flagged, found = detail_on_device(cache, cache.resident)
+    assert detail_on_device(cache, cache.required) == (flagged, found)
+    assert {detail.base_of(key) for key in found} <= set(there)
+    assert flagged == {there[detail.base_of(key)] for key in found}
+    for key, posts in edited.items():
+        if detail.base_of(key) in there and posts.any():
+            start = found[key] * BLOCK_POSTS
+            read = cache.pool.posts.numpy()[start : start + BLOCK_POSTS]
+            assert np.array_equal(read.reshape(BLOCK, BLOCK), posts), key
+
+
+def test_detail_is_on_the_device_whenever_its_block_is(gpu: Gpu, source: Numbered) -> None:
+    """Copies of detail under way are waited for, or not seen yet, as those of its block."""
+    random = np.random.default_rng(3)
+    ground = Ground(source, DetailGrid(GRID, 4))
+    cache = Cache(GRID, ground, LAYERS, gpu, loaders=1, detail_layers=6)
+    edited: dict[Block, Counts] = {}
+    for _ in range(150):
+        at = [int(x) for x in random.integers(0, SIDE, 2)]
+        cache.want([need(at[0], col) for col in range(4)])
+        for _ in range(int(random.integers(0, 4))):
+            cache.work(float(random.uniform(0.0, 2.0)))
+            check_detail(cache, on_device(cache.resident), edited)
+            gpu.let_copies_end(int(random.integers(0, 8)))
+        if random.random() < 0.5:
+            cache.require([need(*at)])
+            check_detail(cache, on_device(cache.resident), edited)
+        if random.random() < 0.6:
+            key = Block(-1, at[0] * 4 + int(random.integers(2)), at[1] * 4)
+            (layer,) = cache.hold_details([key])
+            posts = cache.pool.read(layer)
+            assert np.array_equal(posts, edited.get(key, np.zeros_like(posts)))
+            posts = posts + np.int32(random.integers(-1, 2))
+            cache.pool.posts.numpy()[layer * BLOCK_POSTS : (layer + 1) * BLOCK_POSTS] = (
+                posts.ravel()
+            )
+            cache.edited(key, int(posts.min()), int(posts.max()), 0)
+            edited[key] = posts
+            cache.hold([Block(0, *at)])
+            check_detail(cache, on_device(cache.resident), edited)
+    assert cache.counters.evictions > 100
+    assert any(posts.any() for posts in edited.values())
+    cache.close()
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
