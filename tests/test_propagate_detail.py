@@ -304,3 +304,34 @@ def test_doing_and_undoing_detail_a_hundred_times_does_not_let_bounds_grow() -> 
             apply_patch(terrain, back)
         assert described(terrain) == most
     assert_blocks_follow(most, *patched(before, grid, factor, []), grid, factor)
+
+
+@pytest.mark.parametrize("north", [True, False])
+def test_a_block_knows_of_detail_on_its_far_edge(*, north: bool) -> None:
+    """The detail lies on a block of level 0 that is below the next block of level 1."""
+    grid, factor = Grid(700, 700, 1.0), 4
+    along, across = 100 * factor + 1, 512 * factor
+    place = (across, along) if north else (along, across)
+    with Terrain(
+        ArraySource(np.zeros((700, 700), np.int32), grid), detail_factor=factor
+    ) as terrain:
+        spike = np.array([[1000 * factor]], np.int32)
+        apply_patch(terrain, Patch(*place, spike, detail=True))
+        terrain.cache.hold([Block(1, 0, 0)])
+        # What rose, and one count more for the rounding of level 1.
+        assert terrain.cache.describe(Block(1, 0, 0))[2] == 1001
+
+
+@pytest.mark.parametrize("north", [True, False])
+def test_a_block_over_detail_knows_of_a_spike_on_its_far_edge(*, north: bool) -> None:
+    """The next block has detail, so that it is measured post by post."""
+    grid, factor = Grid(700, 700, 1.0), 4
+    with Terrain(
+        ArraySource(np.zeros((700, 700), np.int32), grid), detail_factor=factor
+    ) as terrain:
+        place = (520 * factor, 0) if north else (0, 520 * factor)
+        apply_patch(terrain, Patch(*place, np.array([[factor]], np.int32), detail=True))
+        spike = np.array([[7000]], np.int32)
+        apply_patch(terrain, Patch(*((512, 101) if north else (101, 512)), spike))
+        terrain.cache.hold([Block(1, 0, 0)])
+        assert terrain.cache.describe(Block(1, 0, 0))[2] == 7000
