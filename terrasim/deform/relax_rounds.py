@@ -55,17 +55,21 @@ class Progress:
     moved: int = 0
     """Sum of what flowed [counts]."""
     ledger: Ledger = field(default_factory=Ledger)
-    """What happened to the posts."""
+    """What flowed to and from the posts."""
+    written: Ledger = field(default_factory=Ledger)
+    """What was written, in which what came to a post and went again does not show."""
 
     def note(self, step: Moved, unit: int) -> None:
         """Take in what an iteration did in a window."""
         self.moved += step.moved
         self.ledger += Ledger(step.removed, step.added, step.posts, unit=unit)
 
-    def note_written(self, written: Ledger) -> None:
-        """Take in what the range of heights did not let be written; as a rule nothing."""
-        lost = max(-written.net, 0), max(written.net, 0)
-        self.ledger += Ledger(*lost, clamped=written.clamped, unit=written.unit)
+    def total(self) -> Ledger:
+        """What happened to the posts; where the range of heights was met, what was lost with it."""
+        lost = self.written.net
+        return self.ledger + Ledger(
+            max(-lost, 0), max(lost, 0), clamped=self.written.clamped, unit=self.written.unit
+        )
 
 
 def relax_plots(
@@ -80,7 +84,7 @@ def relax_plots(
             windows = [_Window(site, span, progress.awake) for span in spans]
             _go_on(windows, progress, iterations)
             for window in windows:
-                progress.note_written(window.write())
+                progress.written += window.write()
         else:
             _iterate_in_squares(site, progress)
     return progress
@@ -105,7 +109,7 @@ def _iterate_in_squares(site: _Site, progress: Progress) -> None:
     left = []
     for row, own in _squares(near):
         while waiting and waiting[0][0] < row - 1:
-            progress.note_written(waiting.pop(0)[1].write())
+            progress.written += waiting.pop(0)[1].write()
         span = grown(bounds(own), 1)
         window = _Window(site, span, progress.awake)
         window.iterate(progress, window.map_of(own))
@@ -113,7 +117,7 @@ def _iterate_in_squares(site: _Site, progress: Progress) -> None:
         window.drop()
         waiting.append((row, window))
     for _, window in waiting:
-        progress.note_written(window.write())
+        progress.written += window.write()
     progress.awake = unique(np.concatenate(left))
     progress.iterations += 1
 

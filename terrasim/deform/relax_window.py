@@ -11,6 +11,7 @@ import numpy.typing as npt
 from terrasim.deform.slump import Repose, Scratch, Slump
 from terrasim.errors import InputError
 from terrasim.grid import Span
+from terrasim.kernels.detail import NO_GROUND
 from terrasim.kernels.relaxation import PLOT
 from terrasim.terrain import open_device
 
@@ -44,8 +45,8 @@ def relax_window(
     walls.
 
     Args:
-        heights: Heights [counts], shape ``(rows, cols)``; the smallest number of their type marks a
-            hole.
+        heights: Heights [counts], shape ``(rows, cols)``; the smallest number of their type and
+            ``kernels.detail.NO_GROUND`` mark a hole.
         repose: How steep the ground stays.
         iterations: Most iterations.
         device: Warp device.
@@ -64,7 +65,8 @@ def relax_window(
     rows, cols = values.shape
     inside = (slice(PLOT, PLOT + rows), slice(PLOT, PLOT + cols))
     sheet = np.full([2 * PLOT - (-size // PLOT) * PLOT for size in values.shape], np.nan)
-    sheet[inside] = np.where(values == np.iinfo(values.dtype).min, np.nan, values)
+    hole = (values == np.iinfo(values.dtype).min) | (values == NO_GROUND)
+    sheet[inside] = np.where(hole, np.nan, values)
     slump = Slump(sheet, repose, Scratch(open_device(device), part), threads=threads)
     awake = np.zeros(slump.shape, dtype=np.bool_)
     awake[1:-1, 1:-1] = True

@@ -88,7 +88,7 @@ def relax(
     posts = _posts_of(target)
     repose = Repose(angle_deg, target.spacing, target.per_metre)
     done = relax_plots(terrain, plots_of(regions, posts), target, repose, iterations)
-    return Relaxed(done.ledger, rects_of(done.awake, posts), done.iterations, done.moved)
+    return Relaxed(done.total(), rects_of(done.awake, posts), done.iterations, done.moved)
 
 
 def check_relaxation(
