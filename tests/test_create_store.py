@@ -16,8 +16,9 @@ from terrasim.sources.array_source import ArraySource
 from terrasim.sources.fractal import Fractal
 from terrasim.sources.mirror import Mirrored
 from terrasim.sources.refine import Refined
-from terrasim.sources.source import Source, describe
+from terrasim.sources.source import BlockData, Source, describe
 from terrasim.store.branch import open_branch
+from terrasim.store.codec import StoreCorrupt
 from terrasim.store.create import create_store
 from terrasim.store.formula import describe_formula, source_of
 from terrasim.store.store import info, open_store
@@ -145,3 +146,28 @@ def test_a_formula_that_changed_is_noticed(tmp_path: Path, monkeypatch: pytest.M
     assert alter(path, "UPDATE meta SET value = replace(value, '20.0', '20.5')") > 0
     with pytest.raises(RunError, match="meta rows are damaged"):
         open_store(path)
+
+
+def test_changed_ground_on_another_formula_is_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the few heights that are looked at when it is opened do not show it."""
+    path, key = tmp_path / "a.store", Block(0, 0, 0)
+    source = Fractal(SMALL, 20.0)
+    create_store(path, source)
+    with open_branch(path) as branch:
+        posts = source.block(key).posts + np.int32(3)
+        branch.checkpoint({key: describe(posts, 0)}, 0)
+    right = Fractal.block
+
+    def other(self: Fractal, key: Block) -> BlockData:
+        data = right(self, key)
+        data.posts[77, 77] += 1
+        return data
+
+    monkeypatch.setattr(Fractal, "block", other)
+    with (
+        open_store(path) as store,
+        pytest.raises(StoreCorrupt, match="not the one that was written"),
+    ):
+        store.block(key)

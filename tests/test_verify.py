@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import apsw
 import numpy as np
 import pytest
-from stored import FAR, NEAR, alter, build, changed, killed, same, source
+from stored import FAR, NEAR, alter, build, changed, detail, killed, same, source
 
 from terrasim.errors import InputError, RunError
+from terrasim.grid import Block
 from terrasim.sources.source import BlockData
 from terrasim.store.branch import open_branch
+from terrasim.store.codec import StoreCorrupt
 from terrasim.store.store import open_store
 from terrasim.store.verify import verify
 
@@ -136,6 +139,40 @@ def test_a_flipped_bit_never_gives_wrong_heights_or_operations(
             assert not sound, place
         data[place] ^= bit
     assert refused > 20
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "UPDATE blob SET data = (SELECT data FROM blob WHERE id = 1) WHERE id = {detail}",
+        "UPDATE blob SET data = substr(data, 1, length(data) - 1) || x'01' WHERE id = {leaf}",
+        "UPDATE blob SET data = substr(data, 1, length(data) - 9) || zeroblob(9) WHERE id = {leaf}",
+        "UPDATE blob SET data = (SELECT data FROM blob WHERE id = {other}) WHERE id = {leaf}",
+    ],
+)
+def test_what_a_tree_or_a_detail_blob_says_is_checked(tmp_path: Path, sql: str) -> None:
+    """Bounds of a block stand in its node alone, detail posts in their blob alone."""
+    path = build(tmp_path / "a.store")
+    with open_branch(path) as branch:
+        branch.set_detail_factor(2)
+        branch.checkpoint({Block(-1, 0, 0): detail(1)}, 0)
+        branch.checkpoint({Block(-1, 0, 0): detail(2)}, 0)
+    db = apsw.Connection(str(path))
+    nodes = [row[0] for row in db.execute("SELECT id FROM blob WHERE codec = 2 ORDER BY id")]
+    [(blob,)] = db.execute("SELECT max(id) FROM blob WHERE codec = 1").fetchall()
+    leaves = [one for one in nodes if is_leaf(db, one)]
+    db.close()
+    filled = sql.format(detail=blob, leaf=leaves[-1], other=leaves[0])
+    assert alter(path, filled) == 1
+    with open_store(path) as store, pytest.raises(StoreCorrupt):
+        store.block(Block(-1, 0, 0))
+    assert not verify(path)["sound"]
+
+
+def is_leaf(db: apsw.Connection, blob: object) -> bool:
+    """Whether a node stands right above blocks."""
+    [(data,)] = db.execute("SELECT data FROM blob WHERE id = ?", (blob,)).fetchall()
+    return isinstance(data, bytes) and data[1] == 1
 
 
 def verify_or_refuse(path: Path) -> bool:
