@@ -60,7 +60,8 @@ class Newest:
 
     def _follow(self, at: At) -> None:
         """Read from another state from now on."""
-        self._view = self._view.at(at)
+        if at != self._view.state:
+            self._view = self._view.at(at)
 
     def _newest(self, read: Callable[[StoreSource], T]) -> T:
         """Read; again if the state was dropped and collected while another came."""

@@ -90,6 +90,11 @@ class StoreSource:
         """Detail posts to a base post; 1 if there is no detail."""
         return self._at.factor
 
+    @property
+    def state(self) -> At:
+        """Which state it reads."""
+        return self._at
+
     def at(self, at: At) -> StoreSource:
         """The same terrain in another state, through the same connections."""
         other = object.__new__(StoreSource)
