@@ -23,8 +23,16 @@ FLAT = {"kind": "flat", "rows": 600, "cols": 600, "spacing": 1.0}
 REGION = {"size_x": 50.0, "size_y": 50.0}
 BALLS = [{"count": 700, "region": REGION, "radius": 0.3}]
 CRATER = {"kind": "crater", "x": 1.0, "y": 2.0, "radius": 3.0, "depth": 1.0}
+SHOCK = {
+    "kind": "shock", "size_x": 50.0, "size_y": 50.0, "speed_m_s": 9.0, "duration_s": 0.1,
+    "end": "freeze", "displacement": {"kind": "cone", "x": 0, "y": 0, "radius": 5, "height": 1},
+}  # fmt: skip
 EVERYTHING = {
+    "detail": {"factor": 4},
+    "relaxation": {"angle_deg": 35.0},
+    "store": {},
     "stamps": [CRATER],
+    "dynamics": [SHOCK],
     "balls": BALLS,
     "samples": [{"count": 3, "region": REGION}],
     "agents": [{"path": [[0, 0]], "radius": 9.0}],
@@ -43,8 +51,8 @@ def test_what_the_scenario_does_not_ask_for_is_left_out() -> None:
     plan = make_plan(scenario, scenario.terrain.source(Path()))
     left = {part.name for part in plan.left_out}
     assert left == {
-        "stamps", "balls", "check at half the step", "agents", "samples", "picture", "usd",
-        "parquet",
+        "detail", "relaxation", "store", "stamps", "dynamics", "balls", "check at half the step",
+        "agents", "samples", "picture", "usd", "parquet",
     }  # fmt: skip
     assert set(plan.modules) == {"numpy", "warp"}
     assert plan.kernels == ()

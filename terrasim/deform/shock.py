@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -15,7 +16,7 @@ from terrasim.deform.dynamics import End, Field, State, array_of, check_detail, 
 from terrasim.deform.given import Given
 from terrasim.deform.patch import Patch
 from terrasim.deform.shapes.checks import check_fields, check_size, refuse
-from terrasim.deform.stamp_rises import posts_within, rises
+from terrasim.deform.stamp_rises import Extent, posts_within, rises
 from terrasim.deform.stamps import Stamp
 from terrasim.deform.target import Target
 from terrasim.deform.waves import Wave, check_step, check_wave
@@ -74,15 +75,30 @@ class Shock:
             if stamp is not None and stamp.mode != "add":
                 refuse(self.name, field, "be of mode add", stamp.mode)
 
+    @property
+    def extent(self) -> Extent:
+        """Its rectangle: west, south, east and north end [m from its place]."""
+        half_x, half_y = self.size_x / 2.0, self.size_y / 2.0
+        return (-half_x, -half_y, half_x, half_y)
+
+    @property
+    def reach(self) -> float:
+        """Half its longer side [m]."""
+        return max(self.size_x, self.size_y) / 2.0
+
+    @property
+    def volume(self) -> float:
+        """Not known before it has run."""
+        return math.nan
+
     def span(self, target: Target, anchor: Anchor = (0, 0)) -> Span:
         """Posts of its rectangle on the terrain; empty if there are none.
 
         Raises:
             InputError: If it is to change others than the target's.
         """
-        half_x, half_y = self.size_x / 2.0, self.size_y / 2.0
         check_detail(self.name, self.detail, target)
-        return posts_within(target, anchor, self.x, self.y, (-half_x, -half_y, half_x, half_y))
+        return posts_within(target, anchor, self.x, self.y, self.extent)
 
     def check_step(self, dt_s: float, spacing: float) -> float:
         """Refuse a step of time at which it would be unstable; returns ``c dt / dx``.
@@ -125,10 +141,8 @@ class RunningShock:
             InputError: If its rectangle holds no post of the terrain, or its first shape is beyond
                 the range of heights.
         """
-        self._begin(
-            shock, target, Given(shock.name, shock.span(target, anchor), detail=shock.detail)
-        )
-        span = self.given.span
+        span = shock.span(target, anchor)
+        self._begin(shock, target, anchor, Given(shock.name, span, detail=shock.detail))
         shape = span.row1 - span.row0, span.col1 - span.col0
 
         def metres(stamp: Stamp | None) -> Field:
@@ -167,14 +181,16 @@ class RunningShock:
         shape = span.row1 - span.row0, span.col1 - span.col0
         one = cls.__new__(cls)
         given = array_of(state, "given", np.int32, shape, shock.name)
-        one._begin(shock, target, Given(shock.name, span, detail=shock.detail, counts=given))
+        kept = Given(shock.name, span, detail=shock.detail, counts=given)
+        one._begin(shock, target, anchor, kept)
         displacement = array_of(state, "displacement", np.float64, shape, shock.name)
         velocity = array_of(state, "velocity", np.float64, shape, shock.name)
-        clock = array_of(state, "clock", np.float64, (4,), shock.name).tolist()
-        one.clock.time_s, one._step_s, one._first_energy, courant = map(float, clock)
+        clock = array_of(state, "clock", np.float64, (5,), shock.name).tolist()
+        one.clock.time_s, one._step_s, one._first_energy, courant, wave_s = map(float, clock)
         [steps] = array_of(state, "steps", np.int64, (1,), shock.name).tolist()
         one._wave = one._wave_of(displacement, velocity, device, threads)
         one._wave.steps, one._wave.courant = steps, courant
+        one._wave.time_s = wave_s
         return one
 
     @property
@@ -197,6 +213,11 @@ class RunningShock:
         """Heights above rest [m], shape of its rectangle."""
         return self._wave.displacement
 
+    @property
+    def wave(self) -> Wave:
+        """Its two fields."""
+        return self._wave
+
     def advance(self, dt_s: float) -> Patch | None:
         """Let it go on for a time [s], at most to its end.
 
@@ -215,6 +236,20 @@ class RunningShock:
             self._wave.advance(gone, self.shock.substeps)
         return self._given.bring_to(self._wave.displacement * self._target.per_metre)
 
+    def coarse(self) -> Wave:
+        """The same wave on every second post, at twice the step, as far as it is now."""
+        begun = type(self)(self.shock, self._target, self._anchor)
+        shock, wave = self.shock, self._wave
+        found = Wave(
+            begun.displacement[::2, ::2].copy(),
+            begun.wave.velocity[::2, ::2].copy(),
+            2.0 * self._target.spacing,
+            speed_m_s=shock.speed_m_s,
+            damping_1_s=shock.damping_1_s,
+        )
+        found.advance(wave.time_s, -(-wave.steps // 2))
+        return found
+
     def end(self, how: End) -> Patch | None:
         """End it: ``freeze`` leaves the ground as it is, ``vanish`` takes back all it was given."""
         check_end(self.shock.name, how)
@@ -228,7 +263,9 @@ class RunningShock:
             "displacement": wave.displacement,
             "velocity": wave.velocity,
             "given": self._given.counts.copy(),
-            "clock": np.array([self.clock.time_s, self._step_s, self._first_energy, wave.courant]),
+            "clock": np.array(
+                [self.clock.time_s, self._step_s, self._first_energy, wave.courant, wave.time_s]
+            ),
             "steps": np.array([wave.steps], np.int64),
         }
 
@@ -245,8 +282,8 @@ class RunningShock:
             "mean_m": float(wave.displacement.mean()),
         }
 
-    def _begin(self, shock: Shock, target: Target, given: Given) -> None:
-        self.shock, self._target, self._given = shock, target, given
+    def _begin(self, shock: Shock, target: Target, anchor: Anchor, given: Given) -> None:
+        self.shock, self._target, self._anchor, self._given = shock, target, anchor, given
         self.clock = Clock(shock.name, shock.duration_s)
         self._step_s = 0.0
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from terrasim.counts import COUNTS_PER_M
 from terrasim.deform.anchored import Anchor
-from terrasim.detail.grid import DETAIL_LEVEL
+from terrasim.detail.grid import DETAIL_LEVEL, DetailGrid
 from terrasim.errors import InputError
-from terrasim.grid import Span
+from terrasim.grid import Grid, Span
 from terrasim.kernels.addressing import BLOCK_SHIFT
 from terrasim.kernels.edit_row import Posts
 from terrasim.terrain import Terrain
@@ -88,7 +88,20 @@ def target_of(terrain: Terrain, *, detail: bool) -> Target:
     Raises:
         InputError: If the terrain has no detail grid.
     """
-    grid, fine = terrain.grid, terrain.detail
+    return target_on(terrain.grid, terrain.detail, detail=detail)
+
+
+def target_on(grid: Grid, fine: DetailGrid, *, detail: bool) -> Target:
+    """The same before there is a terrain.
+
+    Args:
+        grid: Placement of the level-0 posts.
+        fine: The detail that the terrain will have.
+        detail: Whether the posts are the detail's.
+
+    Raises:
+        InputError: If there is no detail.
+    """
     if detail and fine.factor == 1:
         raise InputError("this terrain has no detail grid; open it with a detail_factor above 1")
     factor, row0, col0 = (fine.factor, fine.row0, fine.col0) if detail else (1, 0, 0)

@@ -66,6 +66,8 @@ class Wave:
             raise InputError(f"wave: spacing must be above 0 m, got {spacing}")
         self.shape = _shape_of(displacement, velocity)
         self.spacing, self.speed_m_s, self.damping_1_s = spacing, speed_m_s, damping_1_s
+        self.time_s = 0.0
+        """Time that has gone [s]."""
         self.steps = 0
         """Steps taken."""
         self.courant = 0.0
@@ -118,6 +120,7 @@ class Wave:
         self._drift(step)
         self._kick(keep, half * rate)
         self.steps += substeps
+        self.time_s += dt_s
 
     def energy(self, step_s: float = 0.0) -> float:
         """The energy of the wave [m^4/s^2]: that of a ground of unit mass a square metre.

@@ -12,7 +12,12 @@ from typing import Any
 
 from terrasim.cache.counters import Counters
 from terrasim.errors import RunError
-from terrasim.output.report_ground import ledger_html, relaxation_html, store_html
+from terrasim.output.report_ground import (
+    dynamics_html,
+    ledger_html,
+    relaxation_html,
+    store_html,
+)
 from terrasim.output.report_table import (
     bar_rows,
     bytes_text,
@@ -252,6 +257,7 @@ _SECTIONS: Iterable[tuple[str, str, Callable[[Record], str]]] = (
     ("timing", "What it cost", _timing),
     ("balls", "Balls", _balls),
     ("ledger", "What the ground lost and gained", ledger_html),
+    ("dynamics", "What changed over time", dynamics_html),
     ("relaxation", "How it slumped", relaxation_html),
     ("store", "What keeps it", store_html),
     ("samples", "Heights asked for", _samples),

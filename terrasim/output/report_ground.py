@@ -1,4 +1,4 @@
-"""The report's part on the ground: what it lost and gained, how it slumped, what keeps it."""
+"""The report's part on the ground: what it lost and gained, what moved it, what keeps it."""
 
 from __future__ import annotations
 
@@ -39,6 +39,33 @@ def relaxation_html(record: Record) -> str:
         f"{said['moved_counts']:,} elsewhere, step by step: {said['net_counts']:,} in all. "
         f"{rest}</p>"
     )
+
+
+def dynamics_html(record: Record) -> str:
+    """What became of deformations that change over time; empty without any."""
+    rows = [
+        (
+            f"{index}, {escape(one['kind'])}",
+            f"{one['time_s']:g} s in {one['steps']:,} steps",
+            number_text(one["courant"]) if "courant" in one else "",
+            _energy(one),
+            escape(one["end"] or "still going on"),
+            f"{one['ledger']['net']:+,}",
+            f"{one['net_m3']:+,.1f}",
+        )
+        for index, one in enumerate(record["dynamics"], 1)
+    ]
+    heads = (
+        *("dynamic", "lasted", "Courant number", "energy [m<sup>4</sup>/s<sup>2</sup>]", "end"),
+        *("net [counts]", "net [m<sup>3</sup>]"),
+    )
+    return table(heads, rows, numbers=(2, 5, 6)) if rows else ""
+
+
+def _energy(one: dict[str, Any]) -> str:
+    if "energy_start_m4_s2" not in one:
+        return ""
+    return f"{one['energy_start_m4_s2']:,.4g} to {one['energy_end_m4_s2']:,.4g}"
 
 
 def store_html(record: Record) -> str:

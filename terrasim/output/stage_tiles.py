@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.counts import COUNT_M
-from terrasim.deform.stamps import Stamp
 from terrasim.grid import Span
 from terrasim.output.colours import ramp, tinted
+from terrasim.output.footprint import Footprint
 from terrasim.output.mesh import (
     Floats,
     TileMesh,
@@ -207,7 +207,7 @@ def _colours(before: Metres, change: Metres, scale: tuple[float, float, float]) 
     return tinted(ramp(part), change, most).astype(np.float32)
 
 
-def stamp_boxes(stamps: Sequence[Stamp], anchor: tuple[int, int], spacing: float) -> list[Span]:
+def stamp_boxes(stamps: Sequence[Footprint], anchor: tuple[int, int], spacing: float) -> list[Span]:
     """Level-0 posts that stamps may change, half-open."""
     boxes = []
     for stamp in stamps:

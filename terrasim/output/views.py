@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.counts import COUNT_M, HOLE, Counts
-from terrasim.deform.stamps import Stamp
 from terrasim.grid import Span
+from terrasim.output.footprint import Footprint
 from terrasim.output.picture import View
 from terrasim.output.window import level_window, read_window
 from terrasim.terrain import Terrain
@@ -30,7 +30,7 @@ _MARGIN = 1.15
 class Happening:
     """Where things happened, in metres from the anchor."""
 
-    stamps: Sequence[Stamp]
+    stamps: Sequence[Footprint]
     """All deformations."""
     places: npt.NDArray[np.float64]
     """Places of balls over time, shape ``(frames, balls, 2)``."""
@@ -101,7 +101,7 @@ def close_up(happening: Happening) -> Square | None:
     return Square(largest.x, largest.y, _CLOSE_STAMP / 2.0 * largest.reach)
 
 
-def _size(stamp: Stamp) -> tuple[float, float]:
+def _size(stamp: Footprint) -> tuple[float, float]:
     """What a stamp counts among others: its volume, then its reach."""
     # Some have no volume of their own.
     return (0.0 if math.isnan(stamp.volume) else abs(stamp.volume), stamp.reach)

@@ -201,8 +201,13 @@ class SampleGroup(Settings):
 _CENTRE = frozenset({"x", "y"})
 
 
-def _models(base: type[Settings], ending: str, skip: frozenset[str]) -> list[type[Settings]]:
-    """A model of each registered stamp."""
+def _models(
+    base: type[Settings],
+    ending: str,
+    skip: frozenset[str],
+    names: frozenset[str] = frozenset(REGISTRY),
+) -> list[type[Settings]]:
+    """A model of each registered stamp, or of those of some names."""
     return [
         create_model(
             f"{kind.__name__}{ending}",
@@ -212,6 +217,7 @@ def _models(base: type[Settings], ending: str, skip: frozenset[str]) -> list[typ
             **_fields(kind, skip),
         )
         for name, kind in REGISTRY.items()
+        if name in names
     ]
 
 
@@ -223,5 +229,10 @@ def _fields(kind: type[Stamp], skip: frozenset[str]) -> dict[str, Any]:
     return found
 
 
+_GIVEN = frozenset({"mode", "z", "detail"})
+_ADDING = frozenset(name for name, kind in REGISTRY.items() if "add" in kind.modes)
+
 AnyStamp = Annotated[Placed, OneOf(_models(Placed, "Placed", frozenset()))]
 AnyScattered = Annotated[Scattered, OneOf(_models(Scattered, "Scattered", _CENTRE))]
+AnyShape = Annotated[OfAKind, OneOf(_models(OfAKind, "Shape", _GIVEN, _ADDING))]
+"""A stamp of mode add for what changes over time, which says when and to which posts."""

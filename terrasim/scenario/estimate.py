@@ -68,14 +68,30 @@ def level_errors(counters: Counters) -> list[ErrorEstimate]:
     ]
 
 
-def rounding_error(stamps: Sequence[Stamp]) -> ErrorEstimate:
-    """Bound of what rounding to counts may have changed."""
+def dynamic_errors(dynamics: Sequence[dict[str, Any]]) -> list[ErrorEstimate]:
+    """What posts and steps may have made of waves, from what became of all dynamics."""
+    return [
+        ErrorEstimate(
+            f"posts and steps, dynamics[{index}]",
+            one["error_m"],
+            one["typical_error_m"],
+            one["error_cost_s"],
+            "a third of the difference to the same wave on every second post at twice the step",
+        )
+        for index, one in enumerate(dynamics, 1)
+        if "error_m" in one
+    ]
+
+
+def rounding_error(stamps: Sequence[Stamp], dynamics: int = 0) -> ErrorEstimate:
+    """Bound of what rounding to counts may have changed; a dynamic is rounded once, as a total."""
     begun = time.perf_counter()
-    most = most_overlapping(stamps)
+    most = most_overlapping(stamps) + dynamics
     metres = 0.5 * COUNT_M * (1 + most)
     note = "half a count for the source"
     if most:
-        note += f" and for each stamp; at most {most} of them meet at one post"
+        what = "stamp and dynamic" if dynamics else "stamp"
+        note += f" and for each {what}; at most {most} of them meet at one post"
     return ErrorEstimate("rounding to counts", metres, None, time.perf_counter() - begun, note)
 
 
@@ -136,7 +152,11 @@ def stage_error(shown: dict[str, Any]) -> ErrorEstimate:
 
 
 def estimate(
-    setup: Setup, counters: Counters, shown: dict[str, Any], ends: Places | None
+    setup: Setup,
+    counters: Counters,
+    shown: dict[str, Any],
+    ends: Places | None,
+    dynamics: Sequence[dict[str, Any]] = (),
 ) -> list[ErrorEstimate]:
     """All estimates of a run.
 
@@ -145,6 +165,7 @@ def estimate(
         counters: What its cache did.
         shown: What its stage shows; empty without one.
         ends: Where each ball came to, metres from the anchor; None if there are none.
+        dynamics: What became of each dynamic.
     """
     found = [*level_errors(counters), stage_error(shown)]
     if ends is not None and checked_balls(setup.scenario) and setup.scenario.steps:
@@ -153,5 +174,7 @@ def estimate(
         found.append(
             ErrorEstimate("time step", None, None, 0.0, "nothing moved, or no check asked")
         )
-    found.append(rounding_error(stamps_of(schedule(setup.scenario, images=setup.images))))
+    found += dynamic_errors(dynamics)
+    stamps = stamps_of(schedule(setup.scenario, images=setup.images))
+    found.append(rounding_error(stamps, len(dynamics)))
     return found

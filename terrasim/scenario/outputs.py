@@ -26,6 +26,8 @@ def happening(setup: Setup, simulation: Simulation, recording: Recording) -> Hap
     """Where things happened."""
     radii = simulation.balls.radii if simulation.balls is not None else np.zeros(0)
     stamps = stamps_of(schedule(setup.scenario, images=setup.images))
+    if simulation.dynamics is not None:
+        stamps = [*stamps, *simulation.dynamics.footprints]
     return Happening(stamps, recording.places[:, :, :2], radii)
 
 

@@ -135,7 +135,11 @@ def make_plan(scenario: Scenario, source: Source) -> Plan:
     )
     _check_levels(scenario, grid)
     used = {part.name for part in parts if part.used}
-    buffers = [*pool_buffers(scenario, grid), *ball_buffers(scenario)]
+    buffers = [
+        *pool_buffers(scenario, grid),
+        *_dynamic_buffers(scenario, grid),
+        *ball_buffers(scenario),
+    ]
     return Plan(
         scenario.name,
         scenario.run.device,
@@ -236,6 +240,7 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             modules=("OpenImageIO",) if any(_image(one.path) for one in files) else (),
             kernels=("terrasim.kernels.stamps",),
         ),
+        _dynamics_part(scenario),
         Part(
             "balls",
             balls > 0,
@@ -290,6 +295,29 @@ def _detail_layers(scenario: Scenario, grid: Grid, layers: int) -> int:
         return 0
     detail = DetailGrid(grid, scenario.detail.factor)
     return detail_layers_for(detail, scenario.detail.bytes, layers)
+
+
+def _dynamics_part(scenario: Scenario) -> Part:
+    if not scenario.dynamics:
+        return Part("dynamics", False, _number(0, "dynamic"))
+    from terrasim.scenario.dynamic_parts import dynamic_kernels
+
+    files = [file for one in scenario.dynamics for file in one.files()]
+    return Part(
+        "dynamics",
+        True,
+        _number(len(scenario.dynamics), "dynamic"),
+        modules=("OpenImageIO",) if any(_image(one.path) for one in files) else (),
+        kernels=dynamic_kernels(scenario),
+    )
+
+
+def _dynamic_buffers(scenario: Scenario, grid: Grid) -> list[Buffer]:
+    if not scenario.dynamics:
+        return []
+    from terrasim.scenario.dynamic_parts import dynamic_buffers
+
+    return dynamic_buffers(scenario, grid)
 
 
 def ball_buffers(scenario: Scenario) -> list[Buffer]:

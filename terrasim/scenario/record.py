@@ -48,6 +48,8 @@ class Outcome:
     """Where balls came to [m from the anchor; world z], shape ``(balls, 3)``; None without any."""
     balls: dict[str, Any]
     """What happened to the balls, ready for JSON; empty without any."""
+    dynamics: list[dict[str, Any]]
+    """What became of each dynamic, ready for JSON."""
     samples: list[dict[str, Any]]
     """What was asked for at the end, ready for JSON."""
     hashes: dict[str, str]
@@ -86,6 +88,7 @@ class Outcome:
             ground=simulation.ground.summary(),
             ends=None if balls is None else balls.places(simulation.terrain),
             balls={} if balls is None else balls.summary(),
+            dynamics=[] if simulation.dynamics is None else simulation.dynamics.summary(),
             samples=[one.summary() for one in sampled],
             hashes=hashes,
             device_bytes=device_bytes,
@@ -127,6 +130,7 @@ def make_record(
         "frames": outcome.frames,
         "counters": asdict(outcome.counters),
         "balls": outcome.balls,
+        "dynamics": outcome.dynamics,
         "samples": outcome.samples,
         "ledger": {
             **asdict(outcome.ledger),

@@ -65,6 +65,8 @@ class Recording:
         grid, anchor = simulation.terrain.grid, self._setup.anchor
         stamps = stamps_of(schedule(scenario, images=self._setup.images))
         struck = stamp_boxes(stamps, anchor, grid.spacing)
+        if simulation.dynamics is not None:
+            struck += simulation.dynamics.boxes
         focus = [*struck, *ball_boxes(self._setup, grid.spacing)]
         choice = choose_tiles(grid, focus, most_cells=scenario.output.usd_cells)
         return StageTiles(simulation.terrain, choice, struck)

@@ -120,7 +120,9 @@ def run_scenario(
         outcome = _simulate(growing, setup, timer, progress)
         progress(0.9, "estimate the error")
         with timer.stage("estimate the error"):
-            errors = estimate(setup, outcome.counters, outcome.shown, outcome.ends)
+            errors = estimate(
+                setup, outcome.counters, outcome.shown, outcome.ends, outcome.dynamics
+            )
         wall_s = time.perf_counter() - begun
         record = make_record(scenario, plan, outcome, errors, (timer.stages, wall_s))
         record["folder"] = str(out)

@@ -20,6 +20,7 @@ from terrasim.scenario.actors import (
     Positive,
     SampleGroup,
 )
+from terrasim.scenario.dynamics import AnyDynamic
 from terrasim.scenario.ground import DetailSettings, RelaxationSettings, StoreSettings
 from terrasim.scenario.settings import Settings, explain
 from terrasim.scenario.terrain import AnyGround
@@ -110,6 +111,8 @@ class Scenario(Settings):
     """Deformations, each at a place and a time."""
     scatter: tuple[AnyScattered, ...] = ()
     """Many deformations of one shape, spread over a region."""
+    dynamics: tuple[AnyDynamic, ...] = ()
+    """Deformations that change over time."""
     balls: tuple[BallGroup, ...] = ()
     """Balls that are let go above the ground."""
     agents: tuple[AgentPath, ...] = ()
@@ -134,6 +137,17 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
+    def _ends_after_its_dynamics(self) -> Self:
+        for i, one in enumerate(self.dynamics, 1):
+            # A sum of times is good to rounding.
+            if one.end_s > self.run.duration_s * (1.0 + 1e-9):
+                raise ValueError(
+                    f"dynamics[{i}] must end within the run of {self.run.duration_s:g} s "
+                    f"(run.duration_s), got {one.end_s:g} (time_s + duration_s)"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _keeps_time(self) -> Self:
         times = (*self.store.reopen_s, *self.store.snapshots_s) if self.store else ()
         for time_s in times:
@@ -148,6 +162,7 @@ class Scenario(Settings):
     def _has_its_detail(self) -> Self:
         fine = [f"stamps[{i}]" for i, one in enumerate(self.stamps, 1) if one.on_detail]
         fine += [f"scatter[{i}]" for i, one in enumerate(self.scatter, 1) if one.on_detail]
+        fine += [f"dynamics[{i}]" for i, one in enumerate(self.dynamics, 1) if one.detail]
         if self.relaxation is not None and self.relaxation.detail:
             fine.append("relaxation")
         if fine and self.detail is None:

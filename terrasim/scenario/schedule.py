@@ -35,8 +35,9 @@ def random_numbers(seed: int, kind: int, index: int) -> Rng:
 
 
 def image_files(scenario: Scenario) -> list[ImageFile]:
-    """The image files that a scenario's stamps are made of."""
-    return [file for one in (*scenario.stamps, *scenario.scatter) for file in one.files()]
+    """The image files that a scenario's stamps and dynamics are made of."""
+    found = [file for one in (*scenario.stamps, *scenario.scatter) for file in one.files()]
+    return found + [file for one in scenario.dynamics for file in one.files()]
 
 
 def timed_stamps(

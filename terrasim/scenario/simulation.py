@@ -78,7 +78,10 @@ class Simulation:
         self.ground = ChangingGround(scenario, setup.source, setup.store, timer)
         """The ground and what is done to it."""
         self.balls: Any = None
+        self.dynamics: Any = None
+        """What changes the ground over time; None in a scene without."""
         try:
+            self._prepare_dynamics()
             self._events = {
                 event.step: event for event in schedule(scenario, setup.finer, images=setup.images)
             }
@@ -142,12 +145,14 @@ class Simulation:
         self.step += 1
 
     def change_ground(self) -> Boxes | None:
-        """Make the stamps of this step, let the ground slump, and see to its store.
+        """Let dynamics go on, make the stamps of this step, let slump, and see to the store.
 
         Returns:
             Rectangles of level-0 cells in which it may have changed; None if it did not.
         """
         setup, boxes = self._setup, []
+        if self.dynamics is not None:
+            boxes += self.ground.go_on(self.dynamics, self.step)
         event = self._events.get(self.step)
         if event is not None:
             self.ground.stamp(event.stamps, setup.anchor)
@@ -173,6 +178,14 @@ class Simulation:
     ) -> None:
         """Close."""
         self.close()
+
+    def _prepare_dynamics(self) -> None:
+        if not self._setup.scenario.dynamics:
+            return
+        from terrasim.scenario.running_dynamics import RunningDynamics
+
+        with self._timer.stage("prepare dynamics"):
+            self.dynamics = RunningDynamics(self.terrain, self._setup)
 
     def _place_balls(self) -> None:
         if not self._setup.scenario.balls:
