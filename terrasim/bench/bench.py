@@ -46,6 +46,7 @@ BENCHES: dict[str, str] = {
     "rays": "terrasim.bench.rays",
     "balls": "terrasim.bench.balls",
     "stamps": "terrasim.bench.stamps",
+    "edits": "terrasim.bench.edits",
     "pressure": "terrasim.bench.pressure",
 }
 """Name of each bench and the module whose ``measure`` does it.
