@@ -136,8 +136,10 @@ def step_balls(
     velocity: wp.array(dtype=wp.vec3d),
     tally: wp.array(dtype=Tally),
 ):
-    """Move one ball by one step."""
+    """Move one ball by one step, over ground without detail."""
     i = wp.tid()
+    # A constant, so that the compiler leaves the detail out: worth a twentieth of the time.
+    lattice.factor = 1
     ball = material[i]
     body = loaded(cell[i], offset[i], z[i], velocity[i], step.dt)
     plane = plane_of(pool, table, lattice, body)
@@ -181,7 +183,7 @@ def stand_balls(
     # In and out:
     z: wp.array(dtype=wp.float64),
 ):
-    """Turn a ball's height above touching the ground into one above the datum."""
+    """Turn a ball's height above touching ground without detail into one above the datum."""
     i = wp.tid()
     body = loaded(cell[i], offset[i], z[i], wp.vec3d(), _ZERO)
     plane = plane_of(pool, table, lattice, body)

@@ -277,6 +277,28 @@ def climb(
 
 
 @wp.func
+def barred(
+    body: Body,
+    ahead: Body,
+    lift: wp.float64,
+    here: Plane,
+    there: Plane,
+    material: Material,
+    step: Step,
+) -> Body:
+    """The body at an edge whose far plane it cuts into by ``lift``; ``ahead`` lies beyond."""
+    out = body
+    out.rail = _NO_EDGE
+    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.length:
+        # Its centre is below the surface: the hole's wall.
+        out.v[0] = -material.restitution * body.v[0]
+        out.v[1] = -material.restitution * body.v[1]
+        out.impacts += 1
+        return out
+    return climb(body, ahead, there, lift, material, step)
+
+
+@wp.func
 def cross(
     body: Body, here: Plane, there: Plane, material: Material, step: Step, spacing: wp.float64
 ) -> Body:
@@ -289,12 +311,4 @@ def cross(
         return railed(body, here, there, step)
     if lift <= _TOUCH:
         return ahead
-    out = body
-    out.rail = _NO_EDGE
-    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.length:
-        # Its centre is below the surface: the hole's wall.
-        out.v[0] = -material.restitution * body.v[0]
-        out.v[1] = -material.restitution * body.v[1]
-        out.impacts += 1
-        return out
-    return climb(body, ahead, there, lift, material, step)
+    return barred(body, ahead, lift, here, there, material, step)

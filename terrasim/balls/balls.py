@@ -26,6 +26,7 @@ from terrasim.deform.anchored import Anchor, cells
 from terrasim.errors import InputError
 from terrasim.grid import Indices
 from terrasim.kernels.balls import Tally, stand_balls, step_balls
+from terrasim.kernels.balls_detail import stand_balls_on_detail, step_balls_on_detail
 from terrasim.kernels.body import Material, Step
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
@@ -192,7 +193,7 @@ def step(
     now: Any = Step()
     now.dt, now.gravity = dt, gravity
     launch(
-        step_balls,
+        step_balls_on_detail if terrain.lattice.factor > 1 else step_balls,
         balls.count,
         shared=[terrain.pool, terrain.required, terrain.error, terrain.lattice, now, terrain.used],
         items=[
@@ -212,7 +213,7 @@ def _stand(terrain: Terrain, balls: Balls) -> None:
     """Turn heights above touching the ground into heights above the datum."""
     terrain.cache.require([reach(terrain, balls, 0.0, gravity=0.0)])
     launch(
-        stand_balls,
+        stand_balls_on_detail if terrain.lattice.factor > 1 else stand_balls,
         balls.count,
         shared=[terrain.pool, terrain.required, terrain.lattice],
         items=[balls.material, balls.cell, balls.offset, balls.z],
