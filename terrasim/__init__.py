@@ -11,6 +11,7 @@ from terrasim.cache.agent import Agent
 from terrasim.cache.needs import Boxes, Disc
 from terrasim.deform.commit import apply, relax, undo
 from terrasim.deform.ledger import Ledger
+from terrasim.deform.relaxation import Rect
 from terrasim.deform.stamps import (
     Berm,
     ConeStamp,
@@ -71,6 +72,7 @@ __all__ = [
     "Paraboloid",
     "Plane",
     "RayHits",
+    "Rect",
     "Refined",
     "RunError",
     "Sample",
