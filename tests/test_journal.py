@@ -17,6 +17,7 @@ from terrasim.store.branch import open_branch
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.journal import MAX_OP_BYTES, NewRow
 from terrasim.store.store import open_store
+from terrasim.store.verify import verify
 from terrasim.store.write_ahead_log import read_log
 
 FRAME = 24 + 4096
@@ -211,6 +212,9 @@ def test_a_log_that_is_gone_is_missed(path: Path, tmp_path: Path) -> None:
     left.with_name(left.name + "-wal").unlink()
     with pytest.raises(StoreCorrupt, match=r"operation 5 was acknowledged .*; .* or remove"):
         open_branch(left)
+    with pytest.raises(StoreCorrupt, match="operation 5"):
+        open_store(left)
+    assert "operation 5" in verify(left)["problems"][0]
     left.with_name(left.name + "-writer").unlink()
     with open_branch(left) as branch:
         assert branch.append(b"again") >= 1

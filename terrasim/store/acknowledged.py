@@ -82,20 +82,39 @@ def require_sound_log(path: Path) -> None:
 
     Raises:
         StoreCorrupt: If it did.
-        RunError: If the files beside the store change too often.
+        RunError: If it cannot be read.
+    """
+    with sound_log(path):
+        pass
+
+
+@contextmanager
+def sound_log(path: Path) -> Iterator[Note | None]:
+    """Keep writers out while a store is opened for reading, if none is at work on it.
+
+    Yields:
+        What a writer noted that is gone and was not closed well.
+
+    Raises:
+        StoreCorrupt: If the write-ahead log lost something.
+        RunError: If it cannot be read.
     """
     for _ in range(_TRIES):
         with _shared(path) as (file, locked):
             if file is not None and not locked:
                 # The writer looked when it opened the store.
+                yield None
                 return
+            note = None if file is None else _read(file)
             try:
-                check_log(path, None if file is None else _read(file))
-                return
+                check_log(path, note)
             except StoreCorrupt:
                 # Unless a writer has begun meanwhile: what was read may have been half-written.
                 if file is not None or not beside(path, ENDING).exists():
                     raise
+                continue
+            yield note
+            return
     raise RunError(f"{path} is opened and closed for writing too often; try again later")
 
 

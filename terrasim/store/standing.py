@@ -68,7 +68,7 @@ def stand(writer: Writer, readers: Readers, name: str, create: bool) -> Standing
         epoch = records.required(work.db, Epoch, row.epoch)
         checkpoint = records.required(work.db, Checkpoint, row.checkpoint)
         if writer.last_note is not None:
-            _check_note(writer.path, work.db, writer.last_note, names.state)
+            check_note(writer.path, work.db, writer.last_note, names.state)
     tail = _checked_tail(readers.fetch, row, epoch, checkpoint)
     writer.note(tail)
     return Standing(row, checkpoint, tail, last, names.state.factor)
@@ -81,9 +81,16 @@ def _begin(db: apsw.Connection, names: Names, name: str) -> None:
     records.write(db, row, replace(state, names=names_with(state.names, row)))
 
 
-def _check_note(path: Path, db: apsw.Connection, note: Note, state: State) -> None:
+def check_note(path: Path, db: apsw.Connection, note: Note, state: State) -> None:
+    """Refuse a store that lacks the journal row that was acknowledged last.
+
+    Raises:
+        StoreCorrupt: If it does.
+    """
     epoch = records.read(db, Epoch, note.tail.epoch)
-    # An epoch that is not there was collected, rows up to the floor were trimmed.
+    if epoch is None and note.tail.epoch > state.epochs:
+        check_tail(path, note, state.store, Tail(0, 0, b""))
+    # Otherwise an epoch that is not there was collected. Rows up to the floor were trimmed.
     if epoch is not None and note.tail.seq >= epoch.floor:
         found = chain_at(lambda sql, given: db.execute(sql, given).fetchall(), epoch, note.tail.seq)
         check_tail(path, note, state.store, found)

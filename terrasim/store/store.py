@@ -21,7 +21,7 @@ from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Indices, Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
 from terrasim.sources.source import BlockData, Source
-from terrasim.store.acknowledged import require_sound_log
+from terrasim.store.acknowledged import sound_log
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.edited import At, Base, Nodes, read_changed
 from terrasim.store.formula import same_source
@@ -37,6 +37,7 @@ from terrasim.store.names import (
 )
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
 from terrasim.store.readers import Readers
+from terrasim.store.standing import check_note
 from terrasim.store.store_file import SCHEMA_VERSION, connect_reader, reading, require_sqlite
 from terrasim.store.tree import DETAIL
 
@@ -262,8 +263,7 @@ def open_store(
     path = Path(path)
     require_sqlite()
     require_file(path)
-    with reading(path):
-        require_sound_log(path)
+    with reading(path), sound_log(path) as note:
         connection = connect_reader(path, vfs)
         try:
             version = require_store(path, connection)
@@ -271,7 +271,10 @@ def open_store(
             with one_state(connection):
                 meta = read_meta(path, connection)
                 if version > 1:
-                    at = place_of(connection, read_names(connection), branch, snapshot)
+                    names = read_names(connection)
+                    at = place_of(connection, names, branch, snapshot)
+                    if note is not None:
+                        check_note(path, connection, note, names.state)
                 elif branch or snapshot:
                     raise no_names(path)
                 else:

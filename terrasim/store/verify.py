@@ -8,10 +8,13 @@ from typing import Any
 import apsw
 
 from terrasim.grid import Grid
-from terrasim.store.acknowledged import require_sound_log
+from terrasim.store import records
+from terrasim.store.acknowledged import sound_log
 from terrasim.store.formula import same_source
 from terrasim.store.names import one_state
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
+from terrasim.store.records import State
+from terrasim.store.standing import check_note
 from terrasim.store.store_file import block_seal, connect_reader, reading, require_sqlite
 from terrasim.store.verify_blobs import Blobs, Findings
 from terrasim.store.verify_history import check_history
@@ -35,7 +38,7 @@ def verify(path: str | Path) -> dict[str, Any]:
     require_sqlite()
     require_file(path)
     found = Findings()
-    found.check(lambda: require_sound_log(path))
+    found.check(lambda: _noted(path))
     with reading(path):
         db = connect_reader(path)
     try:
@@ -48,6 +51,18 @@ def verify(path: str | Path) -> dict[str, Any]:
         "problems": found.problems[:_SHOWN],
         **found.counts,
     }
+
+
+def _noted(path: Path) -> None:
+    """Look at the log, and whether what a writer noted is there."""
+    with reading(path), sound_log(path) as note:
+        db = connect_reader(path)
+        try:
+            if note is not None and require_store(path, db) > 1:
+                with one_state(db):
+                    check_note(path, db, note, records.required(db, State, 1))
+        finally:
+            db.close(True)
 
 
 def _all(path: Path, db: apsw.Connection, found: Findings) -> None:
