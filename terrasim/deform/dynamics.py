@@ -20,9 +20,10 @@ import numpy.typing as npt
 from terrasim.counts import MAX_COUNT
 from terrasim.deform.given import Given
 from terrasim.deform.ledger import Ledger
-from terrasim.deform.patch import Patch, apply_patch, check_patch
+from terrasim.deform.patch import Patch, apply_patch, blocks_of, check_patch
 from terrasim.deform.target import Target
 from terrasim.deform.window import NO_GROUND, read_window
+from terrasim.detail.grid import DETAIL_LEVEL
 from terrasim.errors import InputError
 from terrasim.grid import Block
 from terrasim.terrain import Terrain
@@ -165,16 +166,31 @@ def array_of(
 def _fits(terrain: Terrain, patch: Patch) -> bool:
     """Whether surely no post meets the end of the range; needs no post to be read."""
     check_patch(terrain, patch)
-    if patch.detail:
-        # A difference to the base has a range of its own, which the heights do not tell.
-        return False
+    most = MAX_COUNT - int(np.abs(patch.counts.astype(np.int64)).max())
+    return _detail_within(terrain, patch, most) if patch.detail else _within(terrain, most)
+
+
+def _within(terrain: Terrain, most: int) -> bool:
+    """Whether all heights of a terrain stay within a number of counts."""
     grid = terrain.grid
     span = grid.blocks(grid.top)
-    most = MAX_COUNT - int(np.abs(patch.counts.astype(np.int64)).max())
     for row in range(span.row0, span.row1):
         for col in range(span.col0, span.col1):
             lowest, highest, error = terrain.cache.describe(Block(grid.top, row, col))
             # A block without any ground says the smallest int32 for both.
             if highest + error > most or (highest >= lowest > NO_GROUND and lowest - error < -most):
+                return False
+    return True
+
+
+def _detail_within(terrain: Terrain, patch: Patch, most: int) -> bool:
+    """Whether all differences in the detail blocks of a patch do."""
+    cache = terrain.cache
+    for key in blocks_of(patch, DETAIL_LEVEL):
+        cache.hold([terrain.detail.base_of(key)])
+        # A block that is not there with the one it lies on is all zero.
+        if cache.is_resident(key):
+            lowest, highest, _ = cache.describe(key)
+            if highest > most or lowest < -most:
                 return False
     return True
