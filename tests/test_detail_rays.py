@@ -35,10 +35,15 @@ def differences(factor: int) -> Counts:
     return detail
 
 
-def blocks_of(factor: int) -> dict[Block, Counts]:
-    """Those differences as blocks; the ones that are all zero are left out."""
+def blocks_of(factor: int, quadrant: int | None = None) -> dict[Block, Counts]:
+    """Those differences as blocks, of all quadrants round the corner or one; none all zero."""
     cells = cut((251 * factor, 253 * factor), differences(factor))
-    return {key: posts for key, posts in cells.items() if posts.any()}
+    corner = 256 * factor >> 8
+    return {
+        key: posts
+        for key, posts in cells.items()
+        if posts.any() and quadrant in {None, (key.row >= corner) * 2 + (key.col >= corner)}
+    }
 
 
 def shots(grid: Grid, count: int, seed: int) -> tuple[Real, Real]:
@@ -56,9 +61,9 @@ def shots(grid: Grid, count: int, seed: int) -> tuple[Real, Real]:
     return origins, rng.normal(size=(count, 3)) * [1.0, 1.0, 0.3]
 
 
-def over_finer_grid(posts: Counts, factor: int, origins: Real, ways: Real) -> RayHits:
+def over_finer_grid(fine: Fine, origins: Real, ways: Real) -> RayHits:
     """The same rays over the totals as plain posts, everything ``factor`` times as large."""
-    fine = Fine(GRID, posts, factor, blocks_of(factor))
+    factor = fine.factor
     row, col = np.mgrid[0 : 11 * factor + 1, 0 : 9 * factor + 1]
     total = fine.total(row + 251 * factor, col + 253 * factor)
     plain = np.where(total == NO_GROUND, HOLE, total).astype(np.int32)
@@ -67,17 +72,15 @@ def over_finer_grid(posts: Counts, factor: int, origins: Real, ways: Real) -> Ra
         return raycast(terrain, (origins - shift) * factor, ways, max_distance=40.0 * factor)
 
 
-@pytest.mark.parametrize("holes", [False, True])
-@pytest.mark.parametrize("factor", [2, 3, 7, 64])
-def test_rays_hit_what_they_hit_on_a_grid_that_is_finer(factor: int, holes: bool) -> None:
-    posts = base_posts(holes)
+def check_against_finer_grid(factor: int, posts: Counts, blocks: dict[Block, Counts]) -> None:
+    """Hold that rays hit what they hit where the totals are plain posts."""
     origins, ways = shots(GRID, 4000, factor)
     with Terrain(ArraySource(posts, GRID), detail_factor=factor) as terrain:
-        put(terrain, blocks_of(factor))
+        put(terrain, blocks)
         found = raycast(terrain, origins, ways, max_distance=40.0)
         ends = found.state & MISSED == 0
         there = sample_all(terrain, found.point[ends][:, :2])
-    expected = over_finer_grid(posts, factor, origins, ways)
+    expected = over_finer_grid(Fine(GRID, posts, factor, blocks), origins, ways)
     np.testing.assert_array_equal(found.state, expected.state)
     assert 500 < ends.sum() < 3500
     assert (found.state[ends] == FROM_BELOW).sum() > 100
@@ -91,6 +94,21 @@ def test_rays_hit_what_they_hit_on_a_grid_that_is_finer(factor: int, holes: bool
     np.testing.assert_allclose(found.point[ends][:, 2], there.height, rtol=0, atol=2e-11)
     assert (found.error[ends] == 0.0).all()
     assert (found.level[ends] == 0).all()
+
+
+@pytest.mark.parametrize("holes", [False, True])
+@pytest.mark.parametrize("factor", [2, 3, 7, 64])
+def test_rays_hit_what_they_hit_on_a_grid_that_is_finer(factor: int, holes: bool) -> None:
+    check_against_finer_grid(factor, base_posts(holes), blocks_of(factor))
+
+
+@pytest.mark.parametrize("quadrant", range(4))
+@pytest.mark.parametrize("factor", [3, 64])
+def test_detail_up_to_a_blocks_first_posts_is_met_from_the_blocks_next_to_it(
+    factor: int, quadrant: int
+) -> None:
+    """Cells there have no detail but on their last edges."""
+    check_against_finer_grid(factor, base_posts(False), blocks_of(factor, quadrant))
 
 
 def test_rays_through_detail_of_1024_cross_no_ground_before_they_hit() -> None:

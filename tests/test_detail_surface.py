@@ -185,6 +185,41 @@ def test_heights_and_normals_are_those_of_the_finer_grids_triangles(factor: int)
 NUDGES = [(dx, dy) for dx in (-1e-11, 0.0, 1e-11) for dy in (-1e-11, 0.0, 1e-11)]
 
 
+@pytest.mark.parametrize("factor", [2, 3, 64])
+def test_detail_of_one_block_alone_reaches_the_cells_of_the_three_beside_it(factor: int) -> None:
+    """Its first posts are the last of theirs, and the base's block there has no detail itself."""
+    posts = rough(300, 310, 3)
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-2.0, 2.0, (4000, 2)) * GRID.spacing + [GRID.x, GRID.y]
+    for row in (2 * factor - 1, 2 * factor):
+        for col in (factor - 1, factor):
+            blocks = {Block(-1, row, col): block_of(row + col, 900 * factor)}
+            height, _ = Fine(GRID, posts, factor, blocks).heights(points[:, 0], points[:, 1])
+            with Terrain(ArraySource(posts, GRID), detail_factor=factor) as terrain:
+                put(terrain, blocks)
+                found = sample(terrain, points).height
+            np.testing.assert_allclose(found, height, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [3, 7, 1000])
+def test_a_hair_beside_a_cells_diagonal_the_triangle_is_one_of_the_two(factor: int) -> None:
+    """Where rounding puts a place onto the detail's diagonal, the base's side still counts."""
+    grid = Grid(2, 2, 1.0)
+    posts = np.array([[0, 500_000], [-700_000, 100_000]], np.int32)
+    difference = {Block(-1, 0, 0): block_of(1, 70_000)}
+    v = np.random.default_rng(1).uniform(0.0, min(1.0, 250.0 / factor), 4000)
+    points = np.column_stack([np.nextafter(v, 0.0), v])
+    fine = Fine(grid, posts, factor, difference)
+    rises = [fine.heights(v + dx, v)[1] for dx in (-1e-9 / factor, 1e-9 / factor)]
+    with Terrain(ArraySource(posts, grid), detail_factor=factor) as terrain:
+        put(terrain, difference)
+        found = sample_all(terrain, points).normal
+    given = -found[:, :2] / found[:, 2:]
+    away = np.array([np.abs(given - one).max(axis=1) for one in rises]).min(axis=0)
+    # Right at a detail post it may be one of its other triangles.
+    assert (away < 1e-7).mean() > 0.99
+
+
 def test_ground_far_away_has_the_same_bits() -> None:
     """The same posts and detail whole blocks away; places are exact in float64 at both."""
     factor, shift = 3, 256 * 1_000_001
