@@ -143,6 +143,24 @@ def test_damping_lets_the_amplitude_fall_exponentially() -> None:
     np.testing.assert_allclose(size, size[0], rtol=1e-11)
 
 
+def test_a_damped_mode_is_right_to_second_order_in_the_step() -> None:
+    """Against the exact solution in time of the same differences in space."""
+    gamma, end_s = 0.5, 20.0
+    shape = mode(4, 32, 0, 6)
+    square = (2.0 * math.sin(6.0 * np.pi / 64.0)) ** 2 - gamma**2
+    swing = math.sqrt(square)
+    exact = math.exp(-gamma * end_s) * (
+        math.cos(swing * end_s) + gamma / swing * math.sin(swing * end_s)
+    )
+    errors = []
+    for steps in (80, 160, 320):
+        wave = still(shape, damping_1_s=gamma)
+        wave.advance(end_s, steps)
+        errors.append(np.abs(wave.displacement - exact * shape).max())
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 2.0, atol=0.1)
+
+
 def test_a_wave_damped_past_swinging_creeps_to_rest() -> None:
     wave = still(mode(16, 80, 0, 5), damping_1_s=50.0)
     for _ in range(50):
@@ -283,7 +301,12 @@ GOOD: Field = np.zeros((3, 4))
     ],
 )
 def test_what_is_no_wave_is_refused(change: dict[str, Any], told: str) -> None:
-    given: dict[str, Any] = {"displacement": GOOD, "velocity": GOOD, "spacing": 1.0, "speed_m_s": 1.0} | change
+    given: dict[str, Any] = {
+        "displacement": GOOD,
+        "velocity": GOOD,
+        "spacing": 1.0,
+        "speed_m_s": 1.0,
+    } | change
     with pytest.raises(InputError, match=told):
         Wave(**given)
 
