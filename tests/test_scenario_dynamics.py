@@ -172,6 +172,20 @@ def test_the_journal_holds_what_they_did(tmp_path: Path) -> None:
     assert kept["store"]["operations"] > 50
 
 
+def test_images_grow_too_and_balls_are_checked_over_them(tmp_path: Path) -> None:
+    """The check at half the step needs the image again."""
+    np.save(tmp_path / "heights.npy", np.random.default_rng(0).random((9, 9)))
+    texture = {
+        "kind": "texture", "x": 0.0, "y": 0.0, "size_x": 20.0, "size_y": 20.0,
+        "image": {"path": "heights.npy"},
+    }  # fmt: skip
+    balls = [{"count": 5, "region": {"size_x": 9.0, "size_y": 9.0}, "radius": 0.3}]
+    scenario = scenario_of(GROWTH | {"stamp": texture}, balls=balls)
+    record = run_scenario(scenario, tmp_path, tmp_path / "out")
+    assert record["dynamics"][0]["ledger"]["added"] > 0
+    assert any(one["name"] == "time step" and one["metres"] for one in record["errors"])
+
+
 PROGRAM = """
 import json, sys
 from terrasim.cli import command

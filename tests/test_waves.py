@@ -226,6 +226,17 @@ def test_threads_change_no_bit() -> None:
         np.testing.assert_array_equal(velocity, found[0][1])
 
 
+def test_how_many_posts_a_thread_takes_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On CUDA each takes one."""
+    found = []
+    for width in (64, 1):
+        monkeypatch.setitem(waves._WIDTH, False, width)
+        wave = still(rough(30, 140), damping_1_s=0.1)
+        wave.advance(6.0, 12)
+        found.append(wave.displacement)
+    np.testing.assert_array_equal(found[0], found[1])
+
+
 def test_substeps_in_one_call_are_those_of_many() -> None:
     """A call joins the half steps between its substeps: the same but for rounding."""
     one, other = still(rough(30, 40), damping_1_s=0.1), still(rough(30, 40), damping_1_s=0.1)

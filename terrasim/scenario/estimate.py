@@ -125,7 +125,7 @@ def step_error(setup: Setup, ends: Places) -> ErrorEstimate:
     count = checked_balls(scenario)
     rng = random_numbers(scenario.run.seed, CHECK, 0)
     chosen = np.sort(rng.choice(len(ends), size=count, replace=False)).astype(np.int64)
-    again = Setup(scenario, setup.source, setup.anchor, FINER, chosen)
+    again = Setup(scenario, setup.source, setup.anchor, FINER, chosen, setup.images)
     with Simulation(again, StageTimer()) as simulation:
         simulation.run()
         places = simulation.balls.places(simulation.terrain)
