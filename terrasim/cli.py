@@ -85,7 +85,7 @@ def info(
     from terrasim.dem.input_file import begins_with
 
     if len(files) == 1 and files[0].is_file() and begins_with(files[0], _SQLITE):
-        from terrasim.store.store import info as store_info
+        from terrasim.store.info import info as store_info
 
         show_result(store_info(files[0]), as_json, print_tree)
         return

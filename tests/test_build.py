@@ -22,7 +22,8 @@ from terrasim.errors import InputError, RunError
 from terrasim.grid import Grid
 from terrasim.sources.array_source import ArraySource
 from terrasim.store.build import build_store
-from terrasim.store.store import info, open_store
+from terrasim.store.info import info
+from terrasim.store.store import open_store
 
 GRID = Grid(1300, 700, 2.0, row=-5)
 

@@ -21,7 +21,8 @@ from terrasim.store.branch import open_branch
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.create import create_store
 from terrasim.store.formula import describe_formula, source_of
-from terrasim.store.store import info, open_store
+from terrasim.store.info import info
+from terrasim.store.store import open_store
 from terrasim.store.verify import verify
 
 SMALL = Grid(257, 257, 2.0, x=1.0 / 3.0, row=-5, col=3, datum=12.0)

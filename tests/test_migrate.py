@@ -13,9 +13,10 @@ from stored import NEAR, build, changed, same, source
 from terrasim.errors import InputError
 from terrasim.store.branch import open_branch
 from terrasim.store.history import history
+from terrasim.store.info import info
 from terrasim.store.names import branches, snapshots
 from terrasim.store.records import SCHEMA
-from terrasim.store.store import info, open_store
+from terrasim.store.store import open_store
 from terrasim.store.store_file import SCHEMA_VERSION
 from terrasim.store.verify import verify
 

@@ -11,8 +11,9 @@ from terrasim.errors import InputError
 from terrasim.grid import Block
 from terrasim.store.branch import Branch, open_branch
 from terrasim.store.codec import StoreCorrupt
+from terrasim.store.info import info
 from terrasim.store.names import branches, snapshots
-from terrasim.store.store import info, open_snapshot, open_store
+from terrasim.store.store import open_snapshot, open_store
 from terrasim.store.verify import verify
 
 

@@ -17,7 +17,8 @@ from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
 from terrasim.sources.array_source import ArraySource
 from terrasim.store.build import build_store
-from terrasim.store.store import StoreCorrupt, StoreSource, info, open_store
+from terrasim.store.info import info
+from terrasim.store.store import StoreCorrupt, StoreSource, open_store
 from terrasim.store.store_file import APPLICATION_ID, SCHEMA_VERSION
 
 GRID = Grid(600, 530, 0.1 + 0.2, x=1 / 3, y=-5e6, row=-300, col=77, datum=1234.5, crs="EPSG:32611")

@@ -10,13 +10,12 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from terrasim.counts import HOLE, Counts, to_metres
+from terrasim.counts import Counts
 from terrasim.errors import InputError
 from terrasim.grid import Block, Grid, Indices, Span
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
@@ -28,12 +27,10 @@ from terrasim.store.formula import same_source
 from terrasim.store.imported import Imported
 from terrasim.store.kept_base import KeptBase
 from terrasim.store.names import (
-    branches,
     no_names,
     one_state,
     place_of,
     read_names,
-    snapshots,
 )
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
 from terrasim.store.readers import Readers
@@ -41,7 +38,7 @@ from terrasim.store.standing import check_note
 from terrasim.store.store_file import SCHEMA_VERSION, connect_reader, reading, require_sqlite
 from terrasim.store.tree import DETAIL
 
-__all__ = ["StoreCorrupt", "StoreSource", "info", "open_snapshot", "open_store"]
+__all__ = ["StoreCorrupt", "StoreSource", "open_snapshot", "open_store"]
 
 _RECENT_BLOCKS = 64
 
@@ -288,37 +285,3 @@ def open_store(
 def open_snapshot(path: str | Path, name: str) -> StoreSource:
     """Open a snapshot for reading; see :func:`open_store`."""
     return open_store(path, snapshot=name)
-
-
-def info(path: str | Path) -> dict[str, Any]:
-    """What a store holds, ready for JSON: placement, levels with their errors, size, provenance.
-
-    Raises:
-        InputError: As ``open_store``.
-        StoreCorrupt: As ``open_store``.
-        RunError: As ``open_store``.
-    """
-    with open_store(path) as store:
-        grid, summary = store.grid, store.summary
-    posts, size = grid.rows * grid.cols, Path(path).stat().st_size
-    ground = summary["lowest"] != HOLE
-    return {
-        "store": str(path),
-        **asdict(grid),
-        "levels": summary["levels"],
-        "lowest_m": float(to_metres(summary["lowest"], grid.datum)) if ground else None,
-        "highest_m": float(to_metres(summary["highest"], grid.datum)) if ground else None,
-        "posts": posts,
-        "holes": summary["holes"],
-        "blocks": summary["blocks"],
-        "blobs": summary["blobs"],
-        "bytes": size,
-        "bytes_per_post": size / posts,
-        "ratio": 4 * posts / size,
-        "synthetic": store.synthetic,
-        "provenance": store.provenance,
-        "schema_version": store.schema_version,
-        "detail_factor": store.detail_factor,
-        "branches": [asdict(one) for one in branches(path).values()],
-        "snapshots": [asdict(one) for one in snapshots(path).values()],
-    }
