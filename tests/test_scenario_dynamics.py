@@ -183,7 +183,7 @@ def test_images_grow_too_and_balls_are_checked_over_them(tmp_path: Path) -> None
     scenario = scenario_of(GROWTH | {"stamp": texture}, balls=balls)
     record = run_scenario(scenario, tmp_path, tmp_path / "out")
     assert record["dynamics"][0]["ledger"]["added"] > 0
-    assert any(one["name"] == "time step" and one["metres"] for one in record["errors"])
+    assert any(one["name"] == "time step" and one["metres"] is not None for one in record["errors"])
 
 
 PROGRAM = """
