@@ -56,7 +56,9 @@ class ChangingGround:
         with self._timer.stage("apply stamps"):
             self.ledger += edits_of(self.terrain).commit(operation).ledger
         if self._scenario.relaxation is not None:
-            self._awake += tuple(self._woken(operation))
+            from terrasim.deform.overlap import boxes
+
+            self._awake += tuple(self._within(boxes(self.terrain, operation)))
 
     def go_on(self, dynamics: Any, step: int) -> list[Span]:
         """Let dynamics go on to the time of a step.
@@ -71,6 +73,8 @@ class ChangingGround:
         with self._timer.stage("advance dynamics"):
             ledger, boxes = dynamics.go_on(self.terrain, step)
         self.ledger += ledger
+        if self._scenario.relaxation is not None and ledger.posts:
+            self._awake += tuple(self._within(dynamics.boxes))
         found: list[Span] = boxes
         return found
 
@@ -193,16 +197,15 @@ class ChangingGround:
             }
         )
 
-    def _woken(self, operation: Any) -> list[Any]:
-        """Rectangles of posts that an operation may have made too steep."""
-        from terrasim.deform.overlap import boxes
+    def _within(self, boxes: Sequence[Any]) -> list[Any]:
+        """The posts that slump within rectangles of level-0 posts, their ends included."""
         from terrasim.deform.relaxation import Rect
 
         grid, settings = self.terrain.grid, self._scenario.relaxation
         if settings is None:
             return []
         found = []
-        for box in boxes(self.terrain, operation):
+        for box in boxes:
             row0, row1 = max(box.row0, grid.row), min(box.row1, grid.row + grid.rows - 1)
             col0, col1 = max(box.col0, grid.col), min(box.col1, grid.col + grid.cols - 1)
             if row0 > row1 or col0 > col1:
