@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOAK := $(wildcard tests/test_kill.py tests/test_store_power_loss.py tests/test_power_loss.py tests/test_disk_faults.py tests/test_bit_flips.py tests/test_store_model.py tests/test_edits.py)
+SOAK := $(wildcard tests/test_kill.py tests/test_power_loss.py tests/test_disk_faults.py tests/test_bit_flips.py tests/test_store_model.py tests/test_edits.py)
 STAMP := $(VENV)/stamp
 
 .DEFAULT_GOAL := demo
