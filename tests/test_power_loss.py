@@ -19,6 +19,7 @@ from terrasim.errors import RunError
 from terrasim.store import writer
 from terrasim.store.acknowledged import Claim
 from terrasim.store.branch import open_branch
+from terrasim.store.collect import collect
 from terrasim.store.verify import verify
 
 STEPS = 120 if SOAKING else 45
@@ -213,3 +214,24 @@ def test_a_disk_that_does_not_flush_the_log_is_seen(played: Played, tmp_path: Pa
         except (AssertionError, RunError):
             lost += 1
     assert lost > len(places) // 2
+
+
+def test_a_note_of_rows_that_were_collected_since_is_no_loss(
+    template: Files, tmp_path: Path
+) -> None:
+    """The note is not flushed: after a crash it may be from before a reset and its collecting."""
+    path = placed(template, tmp_path / "store")
+    note = path.with_name(path.name + "-writer")
+    with open_branch(path) as branch:
+        branch.append(b"\0\0stays")
+        branch.checkpoint({}, 1)
+        branch.snapshot("here")
+        branch.append(b"\0\0goes")
+        earlier = note.read_bytes()
+        branch.reset("here")
+        collect(branch)
+    note.write_bytes(earlier)
+    with open_branch(path) as branch:
+        assert [row.op for row in branch.rows()] == [b"\0\0stays"]
+    note.write_bytes(earlier)
+    assert verify(path)["sound"]

@@ -90,8 +90,10 @@ def check_note(path: Path, db: apsw.Connection, note: Note, state: State) -> Non
     epoch = records.read(db, Epoch, note.tail.epoch)
     if epoch is None and note.tail.epoch > state.epochs:
         check_tail(path, note, state.store, Tail(0, 0, b""))
-    # Otherwise an epoch that is not there was collected. Rows up to the floor were trimmed.
-    if epoch is not None and note.tail.seq >= epoch.floor:
+    # A note is not flushed and may come from before what was done since. Where no branch goes on
+    # from an epoch's end, its last rows may have been collected; those up to the floor, trimmed.
+    ends = {branch.epoch for branch in records.read_all(db, BranchRow)}
+    if epoch is not None and epoch.id in ends and note.tail.seq >= epoch.floor:
         found = chain_at(lambda sql, given: db.execute(sql, given).fetchall(), epoch, note.tail.seq)
         check_tail(path, note, state.store, found)
 
