@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from detail_oracle import NO_GROUND, Fine, Real, Whole, block_of, cut, put, rough
 
-from terrasim.counts import HOLE, Counts
+from terrasim.counts import HOLE, MAX_COUNT, Counts
 from terrasim.grid import Block, Grid
 from terrasim.kernels.ray_cell import FROM_BELOW, MISSED
 from terrasim.query import sample_all
@@ -195,6 +195,22 @@ def test_a_ray_high_over_the_base_meets_a_spike_that_only_detail_has() -> None:
         slope = 0.4 / factor
         expected = [50.0 - slope, 150.0 - slope, 2.0]
         np.testing.assert_allclose(after.distance, expected, rtol=0, atol=1e-10)
+
+
+def test_detail_may_stand_above_the_highest_post_there_can_be() -> None:
+    factor = 4
+    posts = np.full((300, 300), MAX_COUNT, np.int32)
+    wall = np.zeros((256, 256), np.int32)
+    wall[:, 201] = 1000 * factor
+    with Terrain(ArraySource(posts, Grid(300, 300, 1.0)), detail_factor=factor) as terrain:
+        put(terrain, {Block(-1, 1, 1): wall})
+        x = (256 + 201) / factor
+        high = (MAX_COUNT + 500) * 1e-5
+        level, down = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
+        starts = [[2.0, 100.0, high], [x, 100.0, high + 1.0], [x + 9.0, 100.0, high + 1.0]]
+        found = raycast(terrain, starts, [level, down, down], max_distance=250.0)
+        expected = [x - 0.125 - 2.0, 0.995, 1.005]
+        np.testing.assert_allclose(found.distance, expected, rtol=0, atol=1e-8)
 
 
 def test_rays_far_away_have_the_same_bits() -> None:
