@@ -175,6 +175,28 @@ def test_nothing_slips_through_a_seam(factor: int) -> None:
             assert (found.state == state).all()
 
 
+@pytest.mark.parametrize("factor", [3, 48])
+def test_a_ray_that_comes_to_the_ground_right_at_a_border_of_detail_does_not_slip(
+    factor: int,
+) -> None:
+    """Where it changes sides there, rounding alone says in which of two areas it does."""
+    rng = np.random.default_rng(factor)
+    blocks = blocks_of(factor, 3)
+    row = rng.integers(-3 * factor, 5 * factor, 30_000) / factor
+    col = rng.integers(-2 * factor, 5 * factor, 30_000) / factor
+    on_row = rng.random(30_000) < 0.5
+    target = np.column_stack([np.where(on_row, col, 0.0), np.where(on_row, 0.0, row)]) * SPACING
+    posts = base_posts(False)
+    height, _ = Fine(GRID, posts, factor, blocks).heights(target[:, 0], target[:, 1])
+    start = np.clip(target + rng.normal(0.0, 0.5, (30_000, 2)), [-4.5, -7.5], [9.0, 9.0])
+    origins = np.column_stack([start, np.full(30_000, 3.0)])
+    ways = np.column_stack([target, height]) - origins
+    with Terrain(ArraySource(posts, GRID), detail_factor=factor) as terrain:
+        put(terrain, blocks)
+        found = raycast(terrain, origins, ways, max_distance=20.0)
+    assert (found.state == 0).all()
+
+
 def test_a_ray_high_over_the_base_meets_a_spike_that_only_detail_has() -> None:
     """Not before it, and not beyond: blocks are crossed at once only above their detail."""
     factor, tall = 16, 500_000
