@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from terrasim.counts import COUNT_M
 from terrasim.grid import Grid
-from terrasim.output.outline import Outline, Posts, Triangles
+from terrasim.output.outline import Outline
 from terrasim.output.tile_ground import NO_GROUND, Heights, TileGround
 from terrasim.output.tiles import Tile
+from terrasim.output.triangles import Posts, Triangles
 
 Floats = npt.NDArray[np.float32]
 
@@ -45,7 +46,10 @@ def tile_heights(shape: Outline, ground: Mapping[Tile, TileGround]) -> Heights:
     """
     found = [ground[shape.tile].heights(*shape.own)]
     found += [ground[leaf].heights(rows, cols) for leaf, rows, cols in shape.extra]
-    return np.concatenate(found)
+    heights = np.concatenate(found)
+    for leaf, points, rows, cols in shape.exact:
+        heights[points] = ground[leaf].heights(rows, cols)
+    return heights
 
 
 def tile_mesh(grid: Grid, shape: Outline, heights: Heights, factor: int = 1) -> TileMesh:

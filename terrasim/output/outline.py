@@ -12,29 +12,32 @@ points of the smaller, so that both sides have the same points there::
 
 So it is between tiles of different levels, and between cells with detail and those without. Rows
 and columns count in parts: a cell of level 0 has ``parts`` of them along its side.
+
+Levels above have detail rounded to a count. Where a post of theirs is also one of a fine cell, it
+is at that one's height.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from terrasim.grid import Grid
 from terrasim.output.tile_ground import Mask
 from terrasim.output.tiles import TILE, Tile, leaf_at
-
-Triangles = npt.NDArray[np.int32]
-Posts = npt.NDArray[np.int64]
-Joints = dict[tuple[int, int, str], list[int]]
-"""Points on the edges of cells that are to be split there: cell and side, then the points in order
-along +x or +y."""
-
-SIDES = ("south", "east", "north", "west")
-_PITCH = TILE + 1
+from terrasim.output.triangles import (
+    PITCH,
+    SIDES,
+    Points,
+    Posts,
+    Triangles,
+    between_posts,
+    own_joints,
+    triangles,
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,20 @@ class Cover:
     """Cells with detail of those tiles of level 0 that have any, shape ``(TILE, TILE)``."""
     parts: int = 1
     """Parts of a fine cell's side."""
+
+    @cached_property
+    def exact(self) -> dict[tuple[int, int], Tile]:
+        """Level-0 posts of fine cells on the borders of tiles, and a tile that has each."""
+        found: dict[tuple[int, int], Tile] = {}
+        for tile, fine in self.fine.items():
+            touched = np.zeros((PITCH, PITCH), bool)
+            for down in (0, 1):
+                for right in (0, 1):
+                    touched[down : down + TILE, right : right + TILE] |= fine
+            touched[1:-1, 1:-1] = False
+            for row, col in np.argwhere(touched).tolist():
+                found[tile.row * TILE + row, tile.col * TILE + col] = tile
+        return found
 
 
 @dataclass(frozen=True)
@@ -66,6 +83,9 @@ class Outline:
     extra: tuple[tuple[Tile, Posts, Posts], ...]
     """Points taken from neighbours, after the tile's own: the neighbour, and the row and column of
     each as its ground counts them."""
+    exact: tuple[tuple[Tile, Posts, Posts, Posts], ...]
+    """Points among those, of tiles above level 0, that stand on posts of fine cells: the tile that
+    has these, which points they are, and the row and column of each as its ground counts them."""
     triangles: Triangles
     """Points of each triangle, counter-clockwise from above, int32, shape ``(count, 3)``."""
 
@@ -80,16 +100,16 @@ def outline(grid: Grid, cover: Cover, tile: Tile) -> Outline:
     line_cols = _line(tile.col, tile.level, grid.col, grid.col + grid.cols - 1)
     inside = (np.diff(line_rows) > 0)[:, None] & (np.diff(line_cols) > 0)[None, :]
     fine = cover.fine.get(tile, np.zeros((TILE, TILE), bool)) & inside
-    between = _between_posts(fine, parts)
-    along = np.arange(_PITCH, dtype=np.int64) * parts
-    rows = [np.repeat(line_rows, _PITCH) * parts, between[0] + tile.row * TILE * parts]
-    cols = [np.tile(line_cols, _PITCH) * parts, between[1] + tile.col * TILE * parts]
+    between = between_posts(fine, parts)
+    along = np.arange(PITCH, dtype=np.int64) * parts
+    rows = [np.repeat(line_rows, PITCH) * parts, between[0] + tile.row * TILE * parts]
+    cols = [np.tile(line_cols, PITCH) * parts, between[1] + tile.col * TILE * parts]
     own = (
-        np.concatenate([np.repeat(along, _PITCH), between[0]]),
-        np.concatenate([np.tile(along, _PITCH), between[1]]),
+        np.concatenate([np.repeat(along, PITCH), between[0]]),
+        np.concatenate([np.tile(along, PITCH), between[1]]),
     )
-    points = _Points(parts, between[0] * (TILE * parts + 1) + between[1])
-    joints = _own_joints(fine, inside, points)
+    points = Points(parts, between[0] * (TILE * parts + 1) + between[1])
+    joints = own_joints(fine, inside, points)
     extra = []
     count = own[0].size
     for side in SIDES:
@@ -104,124 +124,53 @@ def outline(grid: Grid, cover: Cover, tile: Tile) -> Outline:
                 count += 1
             rows.append(row)
             cols.append(col)
-    triangles = _triangles(fine, inside, points, joints)
+    all_rows, all_cols = np.concatenate(rows), np.concatenate(cols)
     return Outline(
-        tile, parts, np.concatenate(rows), np.concatenate(cols), own, tuple(extra), triangles
+        tile,
+        parts,
+        all_rows,
+        all_cols,
+        own,
+        tuple(extra),
+        _exact_points(cover, tile, all_rows, all_cols),
+        triangles(fine, inside, points, joints),
     )
 
 
-@dataclass(frozen=True)
-class _Points:
-    """A tile's own points: its posts row by row, then those between posts."""
-
-    parts: int
-    """Parts of a cell's side."""
-    between: Posts
-    """Rank in the tile of each point between posts, in order, int64."""
-
-    def at(self, rows: Posts, cols: Posts) -> Posts:
-        """Which points stand at places [parts from the tile's first post]."""
-        post = rows // self.parts * _PITCH + cols // self.parts
-        if not self.between.size:
-            return post
-        found = np.searchsorted(self.between, rows * (TILE * self.parts + 1) + cols)
-        on_post = (rows % self.parts == 0) & (cols % self.parts == 0)
-        return np.where(on_post, post, _PITCH * _PITCH + found)
+def _exact_points(
+    cover: Cover, tile: Tile, rows: Posts, cols: Posts
+) -> tuple[tuple[Tile, Posts, Posts, Posts], ...]:
+    """Which points on a tile's border stand on posts of fine cells of level 0."""
+    if tile.level == 0 or not cover.exact:
+        return ()
+    border = (rows == rows[0]) | (rows == rows.max()) | (cols == cols[0]) | (cols == cols.max())
+    found: dict[Tile, list[int]] = {}
+    for point in np.flatnonzero(border).tolist():
+        row, i = divmod(int(rows[point]), cover.parts)
+        col, j = divmod(int(cols[point]), cover.parts)
+        leaf = cover.exact.get((row, col)) if i == j == 0 else None
+        if leaf is not None:
+            found.setdefault(leaf, []).append(point)
+    return tuple(
+        (
+            leaf,
+            np.array(at, np.int64),
+            _in_tile(rows[at], leaf.row, 0, cover.parts),
+            _in_tile(cols[at], leaf.col, 0, cover.parts),
+        )
+        for leaf, at in found.items()
+    )
 
 
 def _line(first: int, level: int, start: int, end: int) -> Posts:
     """Level-0 indices of a tile's posts, moved onto the terrain."""
-    line: Posts = np.clip((first * TILE + np.arange(_PITCH, dtype=np.int64)) << level, start, end)
+    line: Posts = np.clip((first * TILE + np.arange(PITCH, dtype=np.int64)) << level, start, end)
     return line
 
 
 def _in_tile(line: Posts, first: int, level: int, parts: int) -> Posts:
     """Rows or columns [parts of a level-0 cell] as a tile counts them."""
     return (line >> level) - first * TILE * parts
-
-
-def _between_posts(fine: Mask, parts: int) -> tuple[Posts, Posts]:
-    """Rows and columns of the points of fine cells that are no posts, in order, each once."""
-    rows, cols = _parts_of(fine, parts, parts + 1)
-    between = (rows % parts > 0) | (cols % parts > 0)
-    pitch = TILE * parts + 1
-    ranks = np.unique(rows[between] * pitch + cols[between])
-    return ranks // pitch, ranks % pitch
-
-
-def _parts_of(fine: Mask, parts: int, each: int) -> tuple[Posts, Posts]:
-    """Rows and columns of the first ``each`` by ``each`` points of fine cells, a cell at a time."""
-    row, col = np.nonzero(fine)
-    step = np.arange(each)
-    rows = row[:, None, None] * parts + step[:, None] + 0 * step
-    cols = col[:, None, None] * parts + step + 0 * step[:, None]
-    return rows, cols
-
-
-def _own_joints(fine: Mask, inside: Mask, points: _Points) -> Joints:
-    """Where a tile's other cells are to be split because a fine one lies beside them."""
-    joints: Joints = {}
-    step = np.arange(1, points.parts)
-    if not step.size:
-        return joints
-    around = np.pad(fine, 1)
-    beside = {
-        "south": around[:-2, 1:-1], "north": around[2:, 1:-1],
-        "west": around[1:-1, :-2], "east": around[1:-1, 2:],
-    }  # fmt: skip
-    for side, neighbour in beside.items():
-        for row, col in np.argwhere(inside & ~fine & neighbour).tolist():
-            low, left = row * points.parts, col * points.parts
-            up, right = low + points.parts, left + points.parts
-            on = {
-                "south": (low + 0 * step, left + step), "north": (up + 0 * step, left + step),
-                "west": (low + step, left + 0 * step), "east": (low + step, right + 0 * step),
-            }  # fmt: skip
-            joints[row, col, side] = points.at(*on[side]).tolist()
-    return joints
-
-
-def _triangles(fine: Mask, inside: Mask, points: _Points, joints: Joints) -> Triangles:
-    """All triangles of a tile: of whole cells, of fine ones and of those that are split."""
-    split = np.zeros((TILE, TILE), bool)
-    for row, col, _ in joints:
-        split[row, col] = True
-    rows, cols = np.nonzero(inside & ~split & ~fine)
-    found = [_two_each(rows * points.parts, cols * points.parts, points.parts, points)]
-    rows, cols = _parts_of(fine, points.parts, points.parts)
-    found.append(_two_each(rows.reshape(-1), cols.reshape(-1), 1, points))
-    found += [_split_cell(row, col, joints) for row, col in np.argwhere(split & inside).tolist()]
-    return np.concatenate(found).astype(np.int32)
-
-
-def _two_each(rows: Posts, cols: Posts, size: int, points: _Points) -> Posts:
-    """Two triangles for each cell of a size, with the surface's diagonal."""
-    near, right = points.at(rows, cols), points.at(rows, cols + size)
-    up, far = points.at(rows + size, cols), points.at(rows + size, cols + size)
-    both = np.stack([near, right, far, near, far, up], axis=1)
-    return both.reshape(-1, 3)
-
-
-def _split_cell(row: int, col: int, joints: Joints) -> Posts:
-    """A cell's triangles, split at the points on its edges."""
-    near = row * _PITCH + col
-    right, up, far = near + 1, near + _PITCH, near + _PITCH + 1
-    on = {side: joints.get((row, col, side), []) for side in SIDES}
-    # Points come along +x and +y; a triangle's edges run counter-clockwise.
-    below = _fan(near, right, far, on["south"], on["east"])
-    above = _fan(far, up, near, on["north"][::-1], on["west"][::-1])
-    return np.array(below + above, np.int64).reshape(-1, 3)
-
-
-def _fan(a: int, b: int, c: int, ab: list[int], bc: list[int]) -> list[tuple[int, int, int]]:
-    """Triangle ``a b c`` split at points on its edges from a to b and from b to c."""
-    first = [a, *ab, b]
-    triangles = [(c, p, q) for p, q in pairwise(first)]
-    if bc:
-        _, corner, _ = triangles.pop()
-        second = [b, *bc, c]
-        triangles += [(corner, p, q) for p, q in pairwise(second)]
-    return triangles
 
 
 def _neighbours_points(

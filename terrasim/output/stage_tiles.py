@@ -148,7 +148,7 @@ class StageTiles:
         rest = tile_heights(shape, ground)
         mesh = tile_mesh(self._terrain.grid, shape, rest, self._history.factor)
         shown = _Shown(mesh, tile_heights(shape, known), rest)
-        seen = [tile, *(leaf for leaf, _, _ in shape.extra)]
+        seen = {tile, *(leaf for leaf, *_ in shape.extra), *(leaf for leaf, *_ in shape.exact)}
         last = rest
         for time in self._history.times(seen):
             heights = tile_heights(shape, {one: self._history.at(one, time) for one in seen})

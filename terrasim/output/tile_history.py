@@ -11,7 +11,7 @@ from terrasim.grid import Span
 from terrasim.output.outline import Cover
 from terrasim.output.tile_ground import Mask, TileGround, detailed, fine_cells, most_parts
 from terrasim.output.tiles import TILE, Choice, Tile
-from terrasim.output.window import detail_factor, detail_posts, read_window
+from terrasim.output.window import detail_posts, read_window
 from terrasim.terrain import Terrain
 
 START = float("-inf")
@@ -34,7 +34,7 @@ class TileHistory:
         """
         self._terrain = terrain
         self._choice = choice
-        self.factor = detail_factor(terrain)
+        self.factor = terrain.detail.factor
         """Detail cells along a base cell's side."""
         self._most = self.factor
         self._fine: dict[Tile, Mask] = {}

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.errors import RunError
-from terrasim.output.outline import Triangles
+from terrasim.output.triangles import Triangles
 
 Floats = npt.NDArray[np.float32]
 Place = tuple[float, float, float]

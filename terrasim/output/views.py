@@ -13,8 +13,10 @@ from terrasim.counts import COUNT_M, HOLE, Counts
 from terrasim.grid import Span
 from terrasim.output.footprint import Footprint
 from terrasim.output.picture import View
-from terrasim.output.window import level_window, read_window
+from terrasim.output.window import detail_at, level_window, read_window
 from terrasim.terrain import Terrain
+
+Metres = npt.NDArray[np.float64]
 
 MOST_POSTS = 900
 """Posts along a view's longer side; wider views are drawn from a coarser level."""
@@ -62,7 +64,7 @@ def views_of(terrain: Terrain, anchor: tuple[int, int], happening: Happening) ->
     ):
         if square is None:
             continue
-        half = max(square.half, _FEWEST_POSTS / 2.0 * grid.spacing)
+        half = max(square.half, _FEWEST_POSTS / 2.0 * terrain.detail.spacing)
         if 2.0 * half > 0.7 * whole:
             continue
         whole = 2.0 * half
@@ -150,33 +152,70 @@ def _view(
         level += 1
     window = level_window(grid, level, cells)
     counts = read_window(terrain, level, window)
-    change = None
     spacing = grid.spacing * (1 << level)
-    # Where the widest deformation lies between posts there is nothing of it to see.
-    if any(stamp.reach > 2.0 * spacing for stamp in happening.stamps):
-        before = terrain.source.posts(
-            level, np.arange(window.row0, window.row1), np.arange(window.col0, window.col1)
-        )
-        change = _difference(counts, before)
     # A close view shows the triangles themselves, not a picture smoothed over them.
     finer = max(1, MOST_POSTS // (2 * max(counts.shape)))
+    which = f"level {level}, {spacing:.3g} m between posts"
+    if level == 0:
+        which = f"every triangle, {spacing:.3g} m between posts"
+    more, seen = None, spacing
+    if level == 0 and terrain.detail.factor > 1:
+        finer = max(1, MOST_POSTS // max(counts.shape))
+        seen = max(spacing / finer, terrain.detail.spacing)
+        more = detail_between(terrain, window, finer)
+        if more.any():
+            which += f", {terrain.detail.spacing:.3g} m in the detail"
     heights = np.where(counts == HOLE, np.nan, counts * COUNT_M + grid.datum)
-    which = "every triangle" if level == 0 else f"level {level}"
     return View(
-        f"{title}: {which}, {spacing:.3g} m between posts",
-        on_triangles(heights, finer),
+        f"{title}: {which}",
+        _sum(on_triangles(heights, finer), more),
         (float(window.col0 << level) - anchor[1]) * grid.spacing,
         (float(window.row0 << level) - anchor[0]) * grid.spacing,
         spacing / finer,
-        None if change is None else on_triangles(change, finer),
+        # Where the widest deformation lies between posts there is nothing of it to see.
+        _sum(on_triangles(_change(terrain, level, window, counts), finer), more)
+        if any(stamp.reach > 2.0 * seen for stamp in happening.stamps)
+        else None,
     )
 
 
-def _difference(after: Counts, before: Counts) -> npt.NDArray[np.float64]:
-    """What was added to each post [m]; NaN in holes."""
-    hole = (after == HOLE) | (before == HOLE)
-    metres = (after.astype(np.int64) - before) * COUNT_M
-    return np.where(hole, np.nan, metres)
+def _sum(base: Metres, more: Metres | None) -> Metres:
+    return base if more is None else base + more
+
+
+def _change(terrain: Terrain, level: int, window: Span, counts: Counts) -> Metres:
+    """What was added to each post of a window [m]; NaN in holes."""
+    before = terrain.source.posts(
+        level, np.arange(window.row0, window.row1), np.arange(window.col0, window.col1)
+    )
+    hole = (counts == HOLE) | (before == HOLE)
+    return np.where(hole, np.nan, (counts.astype(np.int64) - before) * COUNT_M)
+
+
+def detail_between(terrain: Terrain, posts: Span, finer: int) -> Metres:
+    """The detail's part of the heights [m] on and between posts of level 0.
+
+    Args:
+        terrain: Ground with a detail factor.
+        posts: Posts of level 0, half-open.
+        finer: Values along a cell's side.
+
+    Returns:
+        Shape as :func:`on_triangles` has it.
+    """
+    factor = terrain.detail.factor
+    places = []
+    for count in (posts.row1 - posts.row0, posts.col1 - posts.col0):
+        near, rest = np.divmod(np.arange((count - 1) * finer + 1) * factor, finer)
+        last = near == (count - 1) * factor
+        places.append((near - last, np.where(last, 1.0, rest / finer)))
+    (row, v), (col, u) = places
+    cells = Span(posts.row0, posts.row1 - 1, posts.col0, posts.col1 - 1)
+    corners = [
+        detail_at(terrain, cells, row + down, col + right).astype(np.float64)
+        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1))
+    ]
+    return _interpolated(corners, u[None, :], v[:, None]) * (COUNT_M / factor)
 
 
 def on_triangles(posts: npt.NDArray[np.float64], finer: int) -> npt.NDArray[np.float64]:
@@ -197,10 +236,18 @@ def on_triangles(posts: npt.NDArray[np.float64], finer: int) -> npt.NDArray[np.f
     col = np.minimum(cols // finer, posts.shape[1] - 2)
     v = ((rows - row * finer) / finer)[:, None]
     u = ((cols - col * finer) / finer)[None, :]
-    near = posts[np.ix_(row, col)]
-    far = posts[np.ix_(row + 1, col + 1)]
-    middle = np.where(u >= v, posts[np.ix_(row, col + 1)], posts[np.ix_(row + 1, col)])
-    value: npt.NDArray[np.float64] = (
-        near + (middle - near) * np.maximum(u, v) + (far - middle) * np.minimum(u, v)
-    )
+    corners = [
+        posts[np.ix_(row + down, col + right)] for down, right in ((0, 0), (0, 1), (1, 0), (1, 1))
+    ]
+    return _interpolated(corners, u, v)
+
+
+def _interpolated(corners: Sequence[Metres], u: Metres, v: Metres) -> Metres:
+    """Values on the triangles of cells at fractions of their sides.
+
+    ``corners`` are those at (x-, y-), (x+, y-), (x-, y+) and (x+, y+).
+    """
+    near, right, up, far = corners
+    middle = np.where(u >= v, right, up)
+    value: Metres = near + (middle - near) * np.maximum(u, v) + (far - middle) * np.minimum(u, v)
     return value
