@@ -20,7 +20,7 @@ from terrasim.deform.batch import Batch
 from terrasim.deform.binning import Touch, group, touch
 from terrasim.deform.fitting import Fitting, Part
 from terrasim.deform.ledger import Ledger, LedgerByStamp
-from terrasim.deform.placing import Placed, place
+from terrasim.deform.placing import Placed, place, surely_fit
 from terrasim.deform.propagate import propagate
 from terrasim.deform.stamps import Stamp
 from terrasim.deform.tallies import ledger_of, note
@@ -111,22 +111,31 @@ def check_stamps(
     """Refuse stamps that cannot be made here, before anything is allocated or changed.
 
     Raises:
-        InputError: If a stamp lies further from the anchor than posts can be numbered, wants a
-            detail grid that the terrain has not, or is to be taken back and did more than add; or
-            if the stamps are too many and wide for one call.
+        InputError: If a stamp lies further from the anchor than posts can be numbered, is wider
+            than twice the terrain's longest side, wants a detail grid that the terrain has not, or
+            is to be taken back and did more than add; or if the stamps are too many and wide for
+            one call.
     """
-    _place_all(terrain, stamps, anchor, undo=undo)
+    _require_additive(stamps, undo)
+    for detail, numbers in _in_order(stamps):
+        target = target_of(terrain, detail=detail)
+        if not surely_fit(stamps, numbers, target, anchor):
+            place(stamps, numbers, target, anchor)
+
+
+def _require_additive(stamps: Sequence[Stamp], undo: bool) -> None:
+    if undo and (other := next((one for one in stamps if one.mode != "add"), None)):
+        raise InputError(
+            f"only stamps of mode add can be taken back exactly, got a {other.name} of mode "
+            f"{other.mode}; reset to a snapshot instead"
+        )
 
 
 def _place_all(
     terrain: Terrain, stamps: Sequence[Stamp], anchor: Anchor, *, undo: bool
 ) -> list[tuple[Target, Placed]]:
     """Stamps on their posts, those that follow one another on the same lattice together."""
-    if undo and (other := next((one for one in stamps if one.mode != "add"), None)):
-        raise InputError(
-            f"only stamps of mode add can be taken back exactly, got a {other.name} of mode "
-            f"{other.mode}; reset to a snapshot instead"
-        )
+    _require_additive(stamps, undo)
     placed = []
     for detail, numbers in _in_order(stamps):
         target = target_of(terrain, detail=detail)

@@ -8,6 +8,7 @@ gives the same bits.
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,17 +21,20 @@ import zstandard
 
 from terrasim.deform.anchored import Anchor
 from terrasim.deform.patch import Patch
-from terrasim.deform.relaxation import Rect
+from terrasim.deform.relaxation import Rect, check_angle, check_iterations
 from terrasim.deform.stamp_schema import decode as decode_stamp
 from terrasim.deform.stamp_schema import encode as encode_stamp
 from terrasim.deform.stamps import Stamp
 from terrasim.errors import InputError
+from terrasim.grid import MAX_INDEX
 from terrasim.store.codec import StoreCorrupt
 
 Array = npt.NDArray[Any]
 
 MAX_ARRAY_BYTES = 1 << 30
 """Bytes of arrays that an operation may hold: nothing larger is allocated on a file's word."""
+DENSEST = 1 << 15
+"""Bytes that a byte of a zstd frame can stand for at most: a block of 128 KiB takes four."""
 _MAGIC = b"TSO1"
 _LENGTH = struct.Struct("<I")
 _TYPES = {"int32": np.int32, "float64": np.float64}
@@ -44,6 +48,19 @@ class Stamping:
     """The stamps, their places in metres from the anchor."""
     anchor: Anchor = (0, 0)
     """Level-0 post (row, column) that their places start from."""
+
+    def __post_init__(self) -> None:
+        """Refuse what are no stamps, and an anchor that is no post."""
+        for stamp in self.stamps:
+            if not isinstance(stamp, Stamp):
+                raise InputError(f"stamps must be stamps, got {_shown(stamp)}")
+        anchor = tuple(self.anchor)
+        if len(anchor) != 2 or not all(map(_is_index, anchor)):
+            raise InputError(
+                f"anchor must be two whole numbers within +-{MAX_INDEX}, row and column of a post, "
+                f"got {_shown(self.anchor)}"
+            )
+        object.__setattr__(self, "anchor", (int(anchor[0]), int(anchor[1])))
 
     @property
     def additive(self) -> bool:
@@ -63,6 +80,19 @@ class Relaxing:
     """Most iterations."""
     detail: bool = False
     """Whether the posts are the detail grid's."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of their range."""
+        if not isinstance(self.angle_deg, int | float | np.floating):
+            raise InputError(f"angle_deg must be a number, got {_shown(self.angle_deg)}")
+        object.__setattr__(self, "angle_deg", float(self.angle_deg))
+        check_angle(self.angle_deg)
+        check_iterations(self.iterations)
+        for region in self.regions:
+            if not all(isinstance(end, int) for end in region):
+                raise InputError(f"a region's ends must be whole numbers, got {tuple(region)}")
+        if not isinstance(self.detail, bool):
+            raise InputError(f"detail must be true or false, got {_shown(self.detail)}")
 
 
 @dataclass(frozen=True)
@@ -92,9 +122,19 @@ def summary(operation: Operation) -> str:
 
 
 def encode(operation: Operation) -> bytes:
-    """An operation as bytes; equal operations give equal bytes."""
+    """An operation as bytes; equal operations give equal bytes.
+
+    Raises:
+        InputError: If its arrays are larger than a row may hold.
+    """
     arrays: list[Array] = []
     header = _header(operation, arrays)
+    total = sum(one.nbytes for one in arrays)
+    if total > MAX_ARRAY_BYTES:
+        raise InputError(
+            f"an operation holds {total} bytes of arrays, at most {MAX_ARRAY_BYTES} fit into the "
+            "journal; make several of it"
+        )
     header["arrays"] = [[str(one.dtype), list(one.shape)] for one in arrays]
     text = json.dumps(header, allow_nan=False, separators=(",", ":"), sort_keys=True).encode()
     body = b"".join(np.ascontiguousarray(one).tobytes() for one in arrays)
@@ -118,8 +158,10 @@ def decode(row: bytes) -> Operation:
         return _READERS[header.pop("op")](header, arrays)
     except (
         ValueError,
-        KeyError,
+        LookupError,
         TypeError,
+        AttributeError,
+        RecursionError,
         InputError,
         struct.error,
         zstandard.ZstdError,
@@ -138,7 +180,8 @@ def _header(operation: Operation, arrays: list[Array]) -> dict[str, Any]:
         return {"op": "stamps", "anchor": list(operation.anchor), "stamps": stamps}
     if isinstance(operation, Patch):
         arrays.append(operation.counts)
-        place = {"row": operation.row, "col": operation.col, "detail": operation.detail}
+        row, col = int(operation.row), int(operation.col)
+        place = {"row": row, "col": col, "detail": operation.detail}
         return {"op": "patch", **place}
     if isinstance(operation, Relaxing):
         return {
@@ -153,46 +196,72 @@ def _header(operation: Operation, arrays: list[Array]) -> dict[str, Any]:
 
 def _arrays(said: Sequence[tuple[str, list[int]]], packed: bytes) -> list[Array]:
     """The arrays behind a header, each of the type and shape it says."""
-    sizes = [np.dtype(_TYPES[kind]).itemsize * int(np.prod(shape)) for kind, shape in said]
+    if any(type(side) is not int or side < 0 for _, shape in said for side in shape):
+        raise ValueError("its arrays have no sizes")
+    sizes = [np.dtype(_TYPES[kind]).itemsize * math.prod(shape) for kind, shape in said]
     total = sum(sizes)
-    if not 0 <= total <= MAX_ARRAY_BYTES or min(sizes, default=0) < 0:
+    if total > min(MAX_ARRAY_BYTES, DENSEST * len(packed)):
         raise ValueError(f"it claims {total} bytes of arrays")
     body = b""
-    if packed or total:
+    if packed:
         if zstandard.frame_content_size(packed) != total:
             raise ValueError(f"its arrays are not the {total} bytes it claims")
-        body = zstandard.decompress(packed, max_output_size=total)
-    starts = np.cumsum([0, *sizes])
-    return [
-        np.frombuffer(body[starts[i] : starts[i + 1]], dtype=_TYPES[kind]).reshape(shape)
-        for i, (kind, shape) in enumerate(said)
-    ]
+        body = zstandard.ZstdDecompressor().decompress(packed, allow_extra_data=False)
+    found, first = [], 0
+    for (kind, shape), size in zip(said, sizes, strict=True):
+        found.append(np.frombuffer(body[first : first + size], dtype=_TYPES[kind]).reshape(shape))
+        first += size
+    return found
 
 
 def _stamping(header: dict[str, Any], arrays: list[Array]) -> Stamping:
     stamps, first = [], 0
-    for fields, count in header["stamps"]:
+    for fields, count in header.pop("stamps"):
+        if type(count) is not int or not 0 <= count <= len(arrays) - first:
+            raise ValueError(f"a stamp of it claims {count} arrays")
         stamps.append(decode_stamp(fields, arrays[first : first + count]))
         first += count
-    row, col = header["anchor"]
+    row, col = header.pop("anchor")
+    _require_no_more(header, arrays[first:])
     return Stamping(tuple(stamps), (row, col))
 
 
 def _patch(header: dict[str, Any], arrays: list[Array]) -> Patch:
+    _require_no_more({}, arrays[1:])
     return Patch(counts=arrays[0], **header)
 
 
-def _relaxing(header: dict[str, Any], _: list[Array]) -> Relaxing:
+def _relaxing(header: dict[str, Any], arrays: list[Array]) -> Relaxing:
+    _require_no_more({}, arrays)
     regions = tuple(Rect(*region) for region in header.pop("regions"))
     return Relaxing(regions, **header)
 
 
 def _undoing(header: dict[str, Any], arrays: list[Array]) -> Undoing:
-    inner = header["of"]
+    inner, seq = header.pop("of"), header.pop("seq")
+    _require_no_more(header, [])
     operation = _READERS[inner.pop("op")](inner, arrays)
     if not isinstance(operation, Stamping | Patch):
         raise TypeError("it undoes what cannot be undone")
-    return Undoing(header["seq"], operation)
+    if type(seq) is not int:
+        raise TypeError(f"it undoes number {seq!r}")
+    return Undoing(seq, operation)
+
+
+def _require_no_more(header: dict[str, Any], arrays: list[Array]) -> None:
+    if header or arrays:
+        raise ValueError(f"it says more: {', '.join(header) or f'{len(arrays)} arrays'}")
+
+
+def _is_index(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        return False
+    return abs(int(value)) <= MAX_INDEX
+
+
+def _shown(value: object) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 _READERS: dict[str, Callable[[dict[str, Any], list[Array]], Operation]] = {

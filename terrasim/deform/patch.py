@@ -44,6 +44,13 @@ class Patch:
 
     def __post_init__(self) -> None:
         """Refuse what is no rectangle of counts."""
+        places: tuple[tuple[str, object], ...] = (("row", self.row), ("col", self.col))
+        for name, value in places:
+            if not isinstance(value, int | np.integer) or isinstance(value, bool):
+                raise InputError(f"a patch's {name} must be a whole number, got {value!r}")
+        flag: object = self.detail
+        if not isinstance(flag, bool):
+            raise InputError(f"a patch's detail must be true or false, got {flag!r}")
         counts = np.asarray(self.counts)
         if counts.dtype != np.int32:
             raise InputError(f"a patch's counts must be int32, got {counts.dtype}")

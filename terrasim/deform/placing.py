@@ -11,12 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.deform.anchored import Anchor, cells
+from terrasim.deform.shapes.checks import refuse
 from terrasim.deform.shapes.stamp import Mode
 from terrasim.deform.stamps import Stamp
 from terrasim.deform.target import Target
 from terrasim.errors import InputError
+from terrasim.grid import MAX_INDEX
 from terrasim.kernels import stamps as kernels
-from terrasim.kernels.addressing import BLOCK_SHIFT
+from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
 from terrasim.kernels.shapes import CRATER
 
 Records = npt.NDArray[Any]
@@ -28,6 +30,10 @@ MAX_BLOCKS = 2**21
 """Blocks that all stamps of a call touch, each stamp's counted for itself: about 100 bytes each."""
 MAX_DATA = 2**27
 """Numbers that all stamps of a call consist of: 8 bytes each."""
+FEW = 16
+"""Most stamps that are looked at one by one: more are placed sooner all at once."""
+WIDEST = 2.0
+"""Widest that a stamp may be, in longest sides of the terrain."""
 SLACK = 1e-6
 """Posts that a stamp may lie outside its extent by rounding, at most."""
 _MODES = {mode: i for i, mode in enumerate(get_args(Mode))}
@@ -72,11 +78,12 @@ def place(
         anchor: Level-0 post (row, column) that their places start from.
 
     Raises:
-        InputError: If a stamp lies further from the anchor than posts can be numbered, or the
-            stamps are too many and wide for one call.
+        InputError: If a stamp lies further from the anchor than posts can be numbered, is wider
+            than twice the terrain's longest side, or the stamps are too many and wide for one call.
     """
     chosen = [stamps[i] for i in numbers]
     fields = np.array([_fields(stamp) for stamp in chosen], dtype=np.float64).reshape(-1, 13)
+    _refuse_wide(chosen, fields, target)
     records = blank(kernels.Stamp, len(chosen))
     origin = target.anchor(anchor)
     spans = ((target.row, target.last_row), (target.col, target.last_col))
@@ -96,6 +103,48 @@ def place(
     )
     data = [chosen[i].data for i in touching.tolist()]
     return _checked(records[touching], np.asarray(numbers, dtype=np.int64)[touching], data)
+
+
+def surely_fit(
+    stamps: Sequence[Stamp], numbers: Sequence[int], target: Target, anchor: Anchor
+) -> bool:
+    """Whether :func:`place` would certainly take a few small stamps, told without placing them.
+
+    What is acknowledged a thousand times a second cannot wait for arrays. False says nothing.
+    """
+    if len(numbers) > FEW:
+        return False
+    widest = WIDEST * _longest(target)
+    # Half of what can be numbered: rounding cannot lead beyond.
+    farthest = MAX_INDEX / 2 * target.spacing
+    nearby = max(map(abs, target.anchor(anchor))) <= MAX_INDEX / 2
+    columns = blocks = 0.0
+    for i in numbers:
+        stamp = stamps[i]
+        west, south, east, north = stamp.extent
+        width, height = east - west, north - south
+        near = abs(stamp.x) < farthest and abs(stamp.y) < farthest
+        # What has data of its own is rare and not small.
+        if not (near and max(width, height) <= widest and type(stamp).data is Stamp.data):
+            return False
+        across, along = width / target.spacing + 2.0, height / target.spacing + 2.0
+        columns += across
+        blocks += (across / BLOCK + 2.0) * (along / BLOCK + 2.0)
+    return nearby and columns <= MAX_COLUMNS and blocks <= MAX_BLOCKS
+
+
+def _refuse_wide(stamps: Sequence[Stamp], fields: Records, target: Target) -> None:
+    """Refuse what is mistaken for a stamp of this terrain, before anything of its size is taken."""
+    width = np.maximum(fields[:, 7] - fields[:, 5], fields[:, 8] - fields[:, 6])
+    most = WIDEST * _longest(target)
+    for i in np.flatnonzero(~(width <= most)).tolist():
+        rule = f"be at most {most:g} m wide, twice the terrain's longest side"
+        refuse(stamps[i].name, "extent", rule, f"{width[i]:g} m")
+
+
+def _longest(target: Target) -> float:
+    """Longest side of the terrain [m]."""
+    return max(target.last_row - target.row, target.last_col - target.col) * target.spacing
 
 
 def _fields(stamp: Stamp) -> tuple[float, ...]:
