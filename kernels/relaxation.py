@@ -291,7 +291,7 @@ def finish(
     east_sum: wp.array(dtype=wp.float32),
     north_sum: wp.array(dtype=wp.float32),
     awake: wp.array2d(dtype=int),
-    at: wp.array(dtype=wp.vec3i),
+    at: wp.array(dtype=wp.vec2i),
     to_width: int,
     to_plot: wp.array(dtype=int),
     # Out:
@@ -303,7 +303,7 @@ def finish(
 ):
     """End an iteration: what flowed becomes whole counts along each edge, and posts change by it.
 
-    ``at`` is the first post of each plot in the map of awake plots, and 1 if all around are awake.
+    ``at`` is the first post of each plot in the map of awake plots.
     """
     i = wp.tid()
     first = place_of(field, plot, item[i])
@@ -312,7 +312,8 @@ def finish(
     row = at[number][0] + ((post >> PLOT_SHIFT) & _MASK)
     col = at[number][1] + (post & _MASK)
     target = to_plot[number] + ((post >> PLOT_SHIFT) & _MASK) * to_width + (post & _MASK)
-    amid = at[number][2]
+    # Every post of an awake plot is near it, and so is the next one.
+    amid = awake[row >> PLOT_SHIFT, col >> PLOT_SHIFT]
     part = _ONE / field.parts
     tally = Tally()
     for k in range(field.run):

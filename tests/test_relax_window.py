@@ -105,6 +105,8 @@ def test_a_column_becomes_the_cone_of_its_angle(angle_deg: float) -> None:
     done = relax_window(heights, repose, iterations=1000)
     after = heights + done.change
     assert done.awake is None
+    # Without gaining pace it would be 750.
+    assert done.iterations < 350
     assert int(done.change.sum()) == 0
     assert after.max() / PER_METRE == pytest.approx(height, rel=0.02)
     slopes = radial_slopes(after, repose.spacing, radius)

@@ -151,15 +151,13 @@ class Slump:
         near = widened(awake)
         mine = near if own is None else near & own
         flags = self._array(np.pad(awake, 1).astype(np.int32), wp.int32)
-        amid = ~widened(~awake)
         found = np.zeros(self.shape, dtype=np.bool_)
         sums = np.zeros(4, dtype=np.int64)
         parts = [(corner, self._inner(mine, corner)) for corner in _corners(mine, self._part)]
         for corner, inner in parts:
             plots = np.argwhere(inner)
-            at = np.column_stack([(plots + 1) * PLOT, amid[inner]])
             around = np.argwhere(widened(inner) & near)
-            tally = self._work(corner, plots, around, flags, self._array(at, wp.vec3i))
+            tally = self._work(corner, plots, around, flags)
             found[inner] = tally["awake"].any(axis=1)
             sums += [int(tally[name].sum(dtype=np.int64)) for name in _SUMS]
         # A part reads the posts around it as they were.
@@ -183,7 +181,6 @@ class Slump:
         inner: npt.NDArray[Any],
         around: npt.NDArray[Any],
         flags: Any,
-        at: Any,
     ) -> npt.NDArray[Any]:
         """All sweeps of a part; what flowed becomes the gain of its inner plots."""
         offset = np.subtract((2, 2), corner)
@@ -202,6 +199,7 @@ class Slump:
             shared = [field, plots, height, excess, _pace(sweep)]
             self._launch(kernels.find_flows, around, shared, flows)
             self._launch(kernels.move, around, [field, plots, *flows[:2]], [height])
+        at = self._array((inner + 1) * PLOT, wp.vec2i)
         tally: Any = wp.empty(len(inner) * self._runs, dtype=kernels.Tally, device=scratch.device)
         launch(
             kernels.finish,
