@@ -84,7 +84,7 @@ def branch(
         _with_branch(store, "main", lambda one: one.fork(name, at))
     elif name is not None:
         # Opened as a terrain, so that rows that wait for a checkpoint come along.
-        _with_terrain(store, "main", lambda terrain: _fork(terrain, name))
+        _with_terrain(store, "main", lambda terrain: terrain.edits.fork(name))
     rows = [_shown(one) for one in branches(store).values()]
     show_result({"store": str(store), "branches": rows}, as_json, _list)
 
@@ -186,11 +186,6 @@ def _with_terrain(store: Path, name: str, work: Callable[[Any], Any]) -> Any:
     start_warp()
     with open_terrain(store, name) as terrain:
         return work(terrain)
-
-
-def _fork(terrain: Any, name: str) -> None:
-    terrain.edits.checkpoint()
-    terrain.edits.require_branch().fork(name)
 
 
 def _shown(state: Any) -> dict[str, Any]:

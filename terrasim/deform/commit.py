@@ -85,16 +85,18 @@ def undo(terrain: Terrain, seq: int, *, idem: str | None = None) -> Receipt:
     """
     edits = edits_of(terrain)
     branch = edits.require_branch()
-    rows = [(row.seq, decode(row.op)) for row in branch.rows(seq)]
-    if not rows or rows[0][0] != seq:
+    if isinstance(seq, bool) or not isinstance(seq, int):
+        raise InputError(f"the operation to take back must be a whole number, got {seq!r}")
+    rows = list(branch.rows(seq)) if 0 < seq <= branch.last_seq else []
+    if not rows or rows[0].seq != seq:
         raise InputError(f"operation {seq} is not in the journal of this branch; see its history")
-    operation = rows[0][1]
+    operation = decode(rows[0].op)
     if isinstance(operation, Stamping) and not operation.additive:
         raise InputError(f"operation {seq} did more than add; reset to a snapshot instead")
     if not isinstance(operation, Stamping | Patch):
         raise InputError(f"operation {seq} ({summary(operation)}) cannot be taken back exactly")
-    _refuse_built_upon(terrain, seq, operation, rows[1:])
-    edits.settle()
+    later = [(row.seq, decode(row.op)) for row in rows[1:] if idem is None or row.idem != idem]
+    _refuse_built_upon(terrain, seq, operation, later)
     return edits.commit(Undoing(seq, operation), idem=idem)
 
 

@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import groupby
 
 from terrasim.cache.ground import Edit
 from terrasim.cache.pool import BLOCK_BYTES
@@ -21,6 +20,7 @@ from terrasim.deform.ledger import Ledger
 from terrasim.deform.operations import Operation, Stamping, decode, encode, summary
 from terrasim.deform.perform import Done, check, perform
 from terrasim.deform.relaxation import Rect
+from terrasim.deform.waiting import together
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block
 from terrasim.store.branch import Branch
@@ -30,6 +30,8 @@ INTERVAL_S = 1.0
 """Longest time between checkpoints while the ground changes [s]."""
 DIRTY_BYTES = 64 << 20
 """Bytes of changed blocks at which a checkpoint does not wait for the time."""
+REPLAYED_AT_ONCE = 1024
+"""Rows of stamps that are done again together at opening."""
 LEDGERS_KEPT = 10_000
 """Ledgers of operations that are kept for those who ask again."""
 
@@ -41,7 +43,7 @@ class Receipt:
     seq: int | None
     """Its number in the journal; None without a store."""
     ledger: Ledger
-    """What it did; ``pending`` while it waits."""
+    """What it did; ``pending`` while it waits, empty if it was repeated and is not known."""
     durability: str
     """``journal``: the row is on the disk. ``memory``: there is no store."""
     repeated: bool = False
@@ -80,7 +82,11 @@ class Edits:
         self._last_checkpoint = time.monotonic()
         if branch is not None:
             self._writer = ThreadPoolExecutor(1, thread_name_prefix="checkpoint")
-            self._replay(branch)
+            try:
+                self._replay(branch)
+            except BaseException:
+                self._writer.shutdown(wait=True)
+                raise
 
     def commit(
         self, operation: Operation, *, idem: str | None = None, wait: bool = True
@@ -89,20 +95,25 @@ class Edits:
 
         Args:
             operation: What.
-            idem: A key of the caller's: the same operation under the same key is done once.
+            idem: A key of the caller's, kept by the store: the same operation under the same key
+                is done once.
             wait: Change the ground now. Otherwise stamps that are only added may wait until the
                 ground is next read or written; the bits are the same.
 
         Raises:
-            InputError: If the operation cannot be done here, or the key stands for another one.
-                Nothing is changed then.
-            RunError: If the journal cannot be written: nothing is changed; or if a block cannot be
-                read after that: then the terrain must be opened again.
+            InputError: If the operation cannot be done here, the key stands for another one, or
+                there is a key and no store. Nothing is changed then.
+            RunError: If the journal cannot be written: nothing is changed, and it may be tried
+                again when the disk is well; or if a block cannot be read after that: then the
+                terrain must be opened again.
         """
         self._require_sound()
         check(self.terrain, operation)
+        if idem is not None:
+            self.require_branch()
         seq = None
         if self.branch is not None:
+            self._mend(self.branch)
             newest = self.branch.last_seq
             seq = self.branch.append(
                 encode(operation), idem=idem, engine=engine_hash(), summary=summary(operation)
@@ -133,9 +144,8 @@ class Edits:
             return done
         self._require_sound()
         queue, self._queue = self._queue, []
-        for anchor, group in groupby(queue, key=lambda one: one.anchor):
-            stamps = tuple(stamp for one in group for stamp in one.stamps)
-            done += self._do(Stamping(stamps, anchor)).ledger
+        for one in together(self.terrain, queue):
+            done += self._do(one).ledger
         return done
 
     def checkpoint(self) -> None:
@@ -148,9 +158,15 @@ class Edits:
             return
         self._await_writer()
         self._begin_checkpoint()
-        if self._writing is not None:
-            self._writing.result()
-            self._writing = None
+        failed = self._await_writer()
+        if failed is not None:
+            raise failed
+
+    def fork(self, name: str) -> None:
+        """Begin a branch with the ground as it is now."""
+        branch = self.require_branch()
+        self.checkpoint()
+        branch.fork(name)
 
     def snapshot(self, name: str) -> None:
         """Give the ground as it is now a name to come back to."""
@@ -190,10 +206,17 @@ class Edits:
         for seq, row, engine in branch.pending():
             operation = decode(row)
             self.other_engine += engine != mine
-            self._keep(seq, self._do(operation).ledger)
-            self._applied = seq
             self.replayed += 1
+            if isinstance(operation, Stamping) and operation.additive:
+                self._queue.append(operation)
+            else:
+                self.settle()
+                self._keep(seq, self._do(operation).ledger)
+            self._applied = seq
+            if len(self._queue) >= REPLAYED_AT_ONCE:
+                self.settle()
             self._checkpoint_if_due()
+        self.settle()
 
     def _do(self, operation: Operation) -> Done:
         self._busy = True
@@ -238,19 +261,29 @@ class Edits:
             self._writing = self._writer.submit(self._write, branch, kept, self._applied)
 
     def _write(self, branch: Branch, kept: Mapping[Block, Edit], seq: int) -> None:
+        if branch.writer.failed:
+            branch.reopen()
         branch.checkpoint({key: edit.data for key, edit in kept.items()}, seq)
         # From here on the branch answers for them.
         self.terrain.ground.forget(kept)
 
-    def _await_writer(self) -> None:
+    def _await_writer(self) -> RunError | None:
         """Wait for the last checkpoint; what one that failed left is in the next."""
         if self._writing is None:
-            return
+            return None
         writing, self._writing = self._writing, None
         try:
             writing.result()
-        except RunError:
+        except RunError as error:
             self.failed_checkpoints += 1
+            return error
+        return None
+
+    def _mend(self, branch: Branch) -> None:
+        """Go on after the disk failed, if it is well again."""
+        if branch.writer.failed:
+            self._await_writer()
+            branch.reopen()
 
     def require_branch(self) -> Branch:
         """The branch of the store behind the terrain.

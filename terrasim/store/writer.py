@@ -82,6 +82,11 @@ class Writer:
             self._claim.release(well=False)
             raise
 
+    @property
+    def failed(self) -> bool:
+        """Whether the disk failed and nothing is written until ``reopen``."""
+        return bool(self._failure)
+
     def note(self, tail: Tail) -> None:
         """Note the newest journal row, which is on the disk."""
         with self.lock:
