@@ -61,7 +61,7 @@ def _large(device: str) -> list[Row]:
     with Terrain(Flat(Grid(SIDE, SIDE, 1.0)), device=device) as terrain:
         stamps: list[Stamp] = [Gaussian(SIDE / 2.0, SIDE / 2.0, 0.01, sigma)]
         ours, numpys = _clock(terrain)([_stamping(terrain, stamps), numpy_does], 15)
-        wide: list[Stamp] = [Gaussian(SIDE / 2.0, SIDE / 2.0, 10.0, 2.0 * sigma)]
+        wide: list[Stamp] = [Gaussian(SIDE / 2.0, SIDE / 2.0, 10.0, 1.5 * sigma)]
         [every] = _clock(terrain)([_stamping(terrain, wide)], 15)
     return [
         _bar(f"gaussian over {SIDE}^2 posts, all levels, ledger and bounds", every, LARGE_MS),

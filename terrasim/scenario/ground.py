@@ -24,7 +24,7 @@ class DetailSettings(Settings):
 class RelaxationSettings(Settings):
     """Ground that is steeper than its angle of repose slumps, where stamps woke it."""
 
-    angle_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    angle_deg: Annotated[float, Field(gt=0.0, le=89.0)]
     """Angle of repose [degrees]."""
     iterations: Annotated[int, Field(ge=1, le=100_000)] = 32
     """Most iterations in a step."""
