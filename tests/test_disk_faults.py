@@ -145,6 +145,24 @@ def perform(place: Path, template: bytes, fault: Fault) -> int:
     return refused
 
 
+def test_the_first_row_in_a_new_log_is_dropped_if_it_was_not_acknowledged(
+    tmp_path: Path, template: bytes
+) -> None:
+    """Like any other: what was refused is not there when the branch is reopened."""
+    path, vfs = tmp_path / NAME, FaultyVFS("first")
+    path.write_bytes(template)
+    with open_branch(path, vfs="first") as branch:
+        branch.append(b"\0\0one")
+    with open_branch(path, vfs="first") as branch:
+        vfs.begin(Fault("sync", 2))
+        with pytest.raises(RunError, match="cannot be written"):
+            branch.append(b"\0\0two")
+        vfs.begin(None)
+        branch.reopen()
+        assert [row.op for row in branch.rows()] == [b"\0\0one"]
+    vfs.unregister()
+
+
 @pytest.mark.parametrize(("kind", "lasting"), FAULTS)
 def test_a_disk_that_fails_at_any_call_is_endured(
     tmp_path: Path, template: bytes, often: None, kind: str, lasting: bool

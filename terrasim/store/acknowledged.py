@@ -77,17 +77,6 @@ class Claim:
         os.close(self._file)
 
 
-def require_sound_log(path: Path) -> None:
-    """Refuse a store whose write-ahead log lost something, unless a writer is at work on it.
-
-    Raises:
-        StoreCorrupt: If it did.
-        RunError: If it cannot be read.
-    """
-    with sound_log(path):
-        pass
-
-
 @contextmanager
 def sound_log(path: Path) -> Iterator[Note | None]:
     """Keep writers out while a store is opened for reading, if none is at work on it.

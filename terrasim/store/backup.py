@@ -9,10 +9,10 @@ from typing import Any
 import apsw
 
 from terrasim.errors import InputError
-from terrasim.store.acknowledged import require_sound_log
 from terrasim.store.build import require_place, retire
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.names import one_state
+from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import read_meta, require_file, require_store
 from terrasim.store.store_file import BUILDING, connect_reader, reading, require_sqlite, writing
 from terrasim.store.unfinished import unfinished
@@ -52,8 +52,7 @@ def backup(
     if target.exists() and target.samefile(path):
         raise InputError(f"{target} is the store itself; choose another name")
     require_place(target, replace)
-    with reading(path):
-        require_sound_log(path)
+    require_acknowledged(path)
     with unfinished(target, BUILDING) as growing:
         _copy(path, growing, progress or _silent)
         found = verify(growing)

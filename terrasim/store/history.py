@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from terrasim.errors import InputError
-from terrasim.store.acknowledged import require_sound_log
 from terrasim.store.epochs import Stretch, lineage
 from terrasim.store.journal import JournalRow, chain_at, newest_rows, read_rows
 from terrasim.store.names import MAIN, find_branch, no_names, one_state, read_names
+from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import require_file, require_store
 from terrasim.store.readers import Readers
 from terrasim.store.store_file import connect_reader
@@ -25,7 +25,7 @@ def history(path: str | Path, branch: str = MAIN, limit: int = 100) -> list[Jour
     """
     path = Path(path)
     require_file(path)
-    require_sound_log(path)
+    require_acknowledged(path)
     readers = Readers(path, lambda: connect_reader(path))
     try:
         with readers.borrow() as db:

@@ -11,9 +11,9 @@ from pathlib import Path
 import apsw
 
 from terrasim.errors import InputError
-from terrasim.store.acknowledged import require_sound_log
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.edited import At
+from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import require_file, require_store
 from terrasim.store.readers import Readers
 from terrasim.store.records import (
@@ -149,7 +149,7 @@ def _names(store: Path | str | Readers) -> Iterator[tuple[apsw.Connection, Names
     require_file(path)
     readers = Readers(path, lambda: connect_reader(path))
     try:
-        require_sound_log(path)
+        require_acknowledged(path)
         with readers.borrow() as db, one_state(db):
             if require_store(path, db) > 1:
                 yield db, read_names(db)

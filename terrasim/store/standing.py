@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import apsw
 
 from terrasim.store import records
-from terrasim.store.acknowledged import Note, check_tail
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.edited import At
 from terrasim.store.epochs import begin, newest_seq
 from terrasim.store.journal import Fetch, Tail, chain_at, read_rows
 from terrasim.store.names import MAIN, Names, check_name, find_branch, read_names
+from terrasim.store.noted import check_note
 from terrasim.store.readers import Readers
-from terrasim.store.records import BranchRow, Checkpoint, Epoch, State, names_with
+from terrasim.store.records import BranchRow, Checkpoint, Epoch, names_with
 from terrasim.store.store_file import REMEDY
 from terrasim.store.writer import Writer
 
@@ -79,23 +78,6 @@ def _begin(db: apsw.Connection, names: Names, name: str) -> None:
     state, first = begin(db, replace(names.state, seq=last), None)
     row = BranchRow(name, first.epoch, first.id, first.seq, first.chain)
     records.write(db, row, replace(state, names=names_with(state.names, row)))
-
-
-def check_note(path: Path, db: apsw.Connection, note: Note, state: State) -> None:
-    """Refuse a store that lacks the journal row that was acknowledged last.
-
-    Raises:
-        StoreCorrupt: If it does.
-    """
-    epoch = records.read(db, Epoch, note.tail.epoch)
-    if epoch is None and note.tail.epoch > state.epochs:
-        check_tail(path, note, state.store, Tail(0, 0, b""))
-    # A note is not flushed and may come from before what was done since. Where no branch goes on
-    # from an epoch's end, its last rows may have been collected; those up to the floor, trimmed.
-    ends = {branch.epoch for branch in records.read_all(db, BranchRow)}
-    if epoch is not None and epoch.id in ends and note.tail.seq >= epoch.floor:
-        found = chain_at(lambda sql, given: db.execute(sql, given).fetchall(), epoch, note.tail.seq)
-        check_tail(path, note, state.store, found)
 
 
 def _checked_tail(fetch: Fetch, row: BranchRow, epoch: Epoch, checkpoint: Checkpoint) -> Tail:

@@ -32,9 +32,9 @@ from terrasim.store.names import (
     place_of,
     read_names,
 )
+from terrasim.store.noted import check_note
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
 from terrasim.store.readers import Readers
-from terrasim.store.standing import check_note
 from terrasim.store.store_file import SCHEMA_VERSION, connect_reader, reading, require_sqlite
 from terrasim.store.tree import DETAIL
 

@@ -8,13 +8,10 @@ from typing import Any
 import apsw
 
 from terrasim.grid import Grid
-from terrasim.store import records
-from terrasim.store.acknowledged import sound_log
 from terrasim.store.formula import same_source
 from terrasim.store.names import one_state
+from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import read_meta, require_file, require_length, require_store
-from terrasim.store.records import State
-from terrasim.store.standing import check_note
 from terrasim.store.store_file import block_seal, connect_reader, reading, require_sqlite
 from terrasim.store.verify_blobs import Blobs, Findings
 from terrasim.store.verify_history import check_history
@@ -38,9 +35,12 @@ def verify(path: str | Path) -> dict[str, Any]:
     require_sqlite()
     require_file(path)
     found = Findings()
-    found.check(lambda: _noted(path))
+    found.check(lambda: require_acknowledged(path))
     with reading(path):
         db = connect_reader(path)
+    if found.problems:
+        # What is left of a damaged log stays where it is.
+        db.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
     try:
         found.check(lambda: _all(path, db, found))
     finally:
@@ -51,18 +51,6 @@ def verify(path: str | Path) -> dict[str, Any]:
         "problems": found.problems[:_SHOWN],
         **found.counts,
     }
-
-
-def _noted(path: Path) -> None:
-    """Look at the log, and whether what a writer noted is there."""
-    with reading(path), sound_log(path) as note:
-        db = connect_reader(path)
-        try:
-            if note is not None and require_store(path, db) > 1:
-                with one_state(db):
-                    check_note(path, db, note, records.required(db, State, 1))
-        finally:
-            db.close(True)
 
 
 def _all(path: Path, db: apsw.Connection, found: Findings) -> None:

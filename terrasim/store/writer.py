@@ -240,7 +240,7 @@ class Writer:
     def _drop_unacknowledged(self, note: Note | None) -> None:
         """Cut off what follows the acknowledged frames: it may be on the disk or not."""
         log = check_log(self.path, note)
-        if note and log and any(note.salts):
+        if note and log and (any(note.salts) or not note.frames):
             # A log that begins anew has other salts, and nothing in it was acknowledged.
             kept = note.frames if note.salts == log.salts else 0
             end = HEADER + kept * (FRAME_HEADER + log.page_size)
