@@ -13,6 +13,7 @@ from terrasim.deform import placing
 from terrasim.deform.apply import apply_stamps as apply
 from terrasim.deform.apply import check_stamps
 from terrasim.deform.stamps import ConeStamp, Crater, Gaussian, Stamp
+from terrasim.deform.target import target_of
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block, Grid
 from terrasim.sources.analytic import Flat
@@ -58,14 +59,14 @@ def profile(stamp: Stamp, r: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
 
 
 def scattered(count: int, grid: Grid, seed: int = 1) -> list[Stamp]:
-    """Stamps of both kinds, some beyond the edges."""
+    """Stamps of both kinds, some beyond the edges; on a tiny terrain tiny ones."""
     rng = np.random.default_rng(seed)
     wide, high = grid.cols * grid.spacing, grid.rows * grid.spacing
     stamps: list[Stamp] = []
     for i in range(count):
         x = grid.col * grid.spacing + rng.uniform(-0.1, 1.1) * wide
         y = grid.row * grid.spacing + rng.uniform(-0.1, 1.1) * high
-        size = float(np.exp(rng.uniform(0.0, 3.5)))
+        size = min(float(np.exp(rng.uniform(0.0, 3.5))), max(wide, high) / 20.0)
         if i % 2:
             stamps.append(Gaussian(x, y, rng.uniform(-3.0, 3.0), size))
         else:
@@ -237,7 +238,7 @@ def test_a_height_stops_at_the_end_of_the_range_and_is_counted(sign: int) -> Non
 def test_a_stamp_beyond_the_terrain_is_counted() -> None:
     grid = Grid(10, 10, 1.0)
     with Terrain(ArraySource(np.zeros((10, 10), np.int32), grid)) as terrain:
-        ledger = apply(terrain, [Gaussian(500.0, 0.0, 1.0, 3.0), Gaussian(5.0, 5.0, 1.0, 1.0)])
+        ledger = apply(terrain, [Gaussian(500.0, 0.0, 1.0, 1.5), Gaussian(5.0, 5.0, 1.0, 1.0)])
         nothing = apply(terrain, [])
     assert ledger.outside == 1
     assert ledger.posts > 0
@@ -292,7 +293,7 @@ def test_a_stamp_too_far_to_be_numbered_is_refused_and_nothing_changes() -> None
     grid = Grid(10, 10, 1.0)
     with Terrain(ArraySource(np.zeros((10, 10), np.int32), grid)) as terrain:
         with pytest.raises(InputError, match="choose a nearer anchor"):
-            apply(terrain, [Gaussian(5.0, 5.0, 1.0, 2.0), Gaussian(1e12, 0.0, 1.0, 3.0)])
+            apply(terrain, [Gaussian(5.0, 5.0, 1.0, 1.0), Gaussian(1e12, 0.0, 1.0, 1.0)])
         assert not heights(terrain).any()
 
 
@@ -321,7 +322,42 @@ def test_a_stamp_over_a_whole_planet_is_refused_before_its_blocks_are_listed() -
         Terrain(Flat(grid)) as terrain,
         pytest.raises(InputError, match="touch 268435456 block"),
     ):
-        apply(terrain, [ConeStamp(2.0**21, 2.0**21, 9e8, 1.0)])
+        apply(terrain, [ConeStamp(2.0**21, 2.0**21, 2.0**21, 1.0)])
+
+
+@pytest.mark.parametrize("detail", [False, True])
+def test_a_stamp_wider_than_twice_the_terrain_is_refused_by_name(detail: bool) -> None:
+    """The longest of its sides counts, of however many stamps; at twice exactly it is made."""
+    grid = Grid(11, 21, 1.0)
+    good = ConeStamp(10.0, 5.0, 20.0, 1.0, detail=detail)
+    wide = ConeStamp(10.0, 5.0, 20.0 + 1e-9, 1.0, detail=detail)
+    with Terrain(ArraySource(np.zeros((11, 21), np.int32), grid), detail_factor=4) as terrain:
+        for stamps in ([wide], [good] * 40 + [wide]):
+            for refused in (check_stamps, apply):
+                with pytest.raises(
+                    InputError, match=r"^cone: extent must be at most 40 m wide, .* got 40 m$"
+                ):
+                    refused(terrain, stamps)
+        assert not heights(terrain).any()
+        check_stamps(terrain, [good])
+        assert apply(terrain, [good]).posts > 0
+
+
+def test_few_stamps_are_checked_as_many_are() -> None:
+    """What is let through without placing is never refused when placed."""
+    grid = Grid(300, 300, 1.0, row=-(2**28), col=5)
+    rng = np.random.default_rng(4)
+    with Terrain(Flat(grid)) as terrain:
+        target = target_of(terrain, detail=False)
+        passed = 0
+        for _ in range(300):
+            x, y = (rng.choice([1.0, -1.0], 2) * 10.0 ** rng.uniform(0.0, 12.0, 2)).tolist()
+            stamps = [ConeStamp(x, y, float(10.0 ** rng.uniform(0.0, 3.5)), 1.0)]
+            anchor = (int(rng.integers(-(2**30), 2**30)), int(rng.integers(-(2**30), 2**30)))
+            if placing.surely_fit(stamps, [0], target, anchor):
+                passed += 1
+                placing.place(stamps, [0], target, anchor)
+    assert passed > 15
 
 
 class Failing(ArraySource):

@@ -37,7 +37,7 @@ from terrasim.store.names import branches, snapshots
 from terrasim.store.store import StoreSource, open_snapshot, open_store
 from terrasim.store.verify import verify
 
-DAMAGES = 10_000 if SOAKING else 120
+DAMAGES = 10_000 if SOAKING else 240
 LONGEST_S = 120
 SEED = 6
 PAGE = 4096
