@@ -138,8 +138,8 @@ def _refuse_wide(stamps: Sequence[Stamp], fields: Records, target: Target) -> No
     width = np.maximum(fields[:, 7] - fields[:, 5], fields[:, 8] - fields[:, 6])
     most = WIDEST * _longest(target)
     for i in np.flatnonzero(~(width <= most)).tolist():
-        rule = f"be at most {most:g} m wide, twice the terrain's longest side"
-        refuse(stamps[i].name, "extent", rule, f"{width[i]:g} m")
+        rule = f"be at most {most:.9g} m wide, twice the terrain's longest side"
+        refuse(stamps[i].name, "extent", rule, f"{width[i]:.9g} m")
 
 
 def _longest(target: Target) -> float:
