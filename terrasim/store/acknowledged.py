@@ -74,6 +74,8 @@ class Claim:
         if well or self.note is None:
             with suppress(OSError):
                 beside(self._path, ENDING).unlink()
+        # A forked child may have the file open still.
+        fcntl.flock(self._file, fcntl.LOCK_UN)
         os.close(self._file)
 
 

@@ -67,6 +67,7 @@ class Writer:
         self.lock = threading.RLock()
         """Held during a transaction."""
         self._vfs = vfs
+        self._process = os.getpid()
         self._claim = Claim(path)
         self.last_note = self._claim.note
         """What the last writer noted, if it was not closed well."""
@@ -122,6 +123,7 @@ class Writer:
             StoreCorrupt: If acknowledged frames are lost.
         """
         with self.lock, writing(self.path):
+            self._require_here()
             self._failure = self._failure or "it was not reopened"
             with suppress(apsw.ConnectionClosedError):
                 # Closing must not move what the disk may not have into the file.
@@ -134,6 +136,9 @@ class Writer:
 
     def close(self) -> None:
         """Move the log into the file and give the lock back."""
+        if os.getpid() != self._process:
+            # Connection and lock are the parent's.
+            return
         with self.lock:
             well = not self._failure
             try:
@@ -230,7 +235,15 @@ class Writer:
                     self._failure = str(undoing)
                 raise
 
+    def _require_here(self) -> None:
+        if os.getpid() != self._process:
+            raise RunError(
+                f"{self.path} was opened for writing in another process; write to it there, or "
+                "close it there and open it in this one"
+            )
+
     def _require_sound(self) -> None:
+        self._require_here()
         if self._failure:
             raise RunError(
                 f"{self.path} is not written to since the disk failed ({self._failure}); "
