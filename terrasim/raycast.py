@@ -133,6 +133,8 @@ def _cast(terrain: Terrain, rays: Any, hits: Any, level: int, wait: bool) -> Non
     """Walk rays until they end or wait for ground."""
     walk: Any = Walk()
     walk.level, walk.wait = level, int(wait)
+    # What waits to be done to the ground raises blocks, too.
+    terrain.settle()
     highest: Any = wp.array(terrain.cache.highest, dtype=wp.int32, device=terrain.device)
     launch(
         cast,
