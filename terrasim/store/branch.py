@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self, TypeVar
 
+import apsw
+
 from terrasim.errors import InputError, RunError
 from terrasim.grid import Block
 from terrasim.sources.source import BlockData
@@ -66,7 +68,7 @@ class Branch(Newest):
         self.path = path
         """The store."""
         self._writer = Writer(path, vfs)
-        self._readers = Readers(path, lambda: connect_reader(path, vfs))
+        self._readers = Readers(path, lambda: _beside_writer(path, vfs))
         # One at a time writes images, drops them or moves the branch; appending goes on meanwhile.
         self.images_lock = threading.RLock()
         """Held while images are written or collected."""
@@ -151,6 +153,17 @@ class Branch(Newest):
             work.tail = tail
             work.done = lambda: self._stand(replace(standing, tail=tail, last=last))
         return found
+
+    def earlier(self, op: bytes, idem: str) -> int | None:
+        """The number under which an operation was written with a key before; None if it was not.
+
+        Raises:
+            InputError: If the key stands for another operation.
+        """
+        row = NewRow(op, idem)
+        journal.check_new(row)
+        with self._readers.borrow() as db:
+            return earlier(db, self.name, row)
 
     def pending(self) -> Iterator[tuple[int, bytes, str]]:
         """Number, operation and engine of the rows after the newest checkpoint, oldest first.
@@ -350,6 +363,16 @@ class Branch(Newest):
         """Take a new place; readers see it from the next block on."""
         self._standing = standing
         self._follow(standing.at)
+
+
+def _beside_writer(path: Path, vfs: str) -> apsw.Connection:
+    """A connection that reads and, even if it is the last, leaves the log to the writer.
+
+    After the disk failed there is no other, and the log holds what was not acknowledged.
+    """
+    connection = connect_reader(path, vfs)
+    connection.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
+    return connection
 
 
 def open_branch(

@@ -99,9 +99,12 @@ def check_new(row: NewRow) -> None:
     """
     if len(row.op) > MAX_OP_BYTES:
         raise InputError(f"an operation has at most {MAX_OP_BYTES} bytes, got {len(row.op)}")
-    for name, text in (("engine", row.engine), ("idem", row.idem or ""), ("summary", row.summary)):
-        if not text.isprintable():
-            raise InputError(f"{name} must be printable text, got {text[:40]!r}")
+    idem: object = "" if row.idem is None else row.idem
+    words: tuple[tuple[str, object], ...]
+    words = (("engine", row.engine), ("idem", idem), ("summary", row.summary))
+    for name, text in words:
+        if not isinstance(text, str) or not text.isprintable():
+            raise InputError(f"{name} must be printable text, got {str(text)[:40]!r}")
     if row.idem is not None and not 0 < len(row.idem) <= MAX_KEY:
         raise InputError(f"idem must have 1 to {MAX_KEY} characters, got {len(row.idem)}")
 
