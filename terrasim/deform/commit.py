@@ -7,7 +7,15 @@ from collections.abc import Sequence
 from terrasim.deform.anchored import Anchor
 from terrasim.deform.edits import Receipt, edits_of
 from terrasim.deform.ledger import Ledger
-from terrasim.deform.operations import Operation, Relaxing, Stamping, Undoing, decode, summary
+from terrasim.deform.operations import (
+    Operation,
+    Relaxing,
+    Stamping,
+    Undoing,
+    decode,
+    encode,
+    summary,
+)
 from terrasim.deform.overlap import overlap
 from terrasim.deform.patch import Patch
 from terrasim.deform.relaxation import Rect
@@ -95,9 +103,11 @@ def undo(terrain: Terrain, seq: int, *, idem: str | None = None) -> Receipt:
         raise InputError(f"operation {seq} did more than add; reset to a snapshot instead")
     if not isinstance(operation, Stamping | Patch):
         raise InputError(f"operation {seq} ({summary(operation)}) cannot be taken back exactly")
-    later = [(row.seq, decode(row.op)) for row in rows[1:] if idem is None or row.idem != idem]
-    _refuse_built_upon(terrain, seq, operation, later)
-    return edits.commit(Undoing(seq, operation), idem=idem)
+    undoing = Undoing(seq, operation)
+    if idem is None or branch.earlier(encode(undoing), idem) is None:
+        later = [(row.seq, decode(row.op)) for row in rows[1:]]
+        _refuse_built_upon(terrain, seq, operation, later)
+    return edits.commit(undoing, idem=idem)
 
 
 def _refuse_built_upon(

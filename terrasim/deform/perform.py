@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from terrasim.deform.apply import apply_stamps, check_stamps
 from terrasim.deform.ledger import Ledger
-from terrasim.deform.operations import Operation, Relaxing, Stamping
+from terrasim.deform.operations import Operation, Relaxing, Stamping, Undoing
 from terrasim.deform.patch import Patch, apply_patch, check_patch
 from terrasim.deform.relaxation import Rect, check_relaxation, relax
+from terrasim.errors import InputError
 from terrasim.terrain import Terrain
 
 
@@ -26,7 +27,8 @@ def check(terrain: Terrain, operation: Operation) -> None:
     """Refuse what cannot be done on this terrain, before a journal or the ground changes.
 
     Raises:
-        InputError: If a place cannot be numbered, or the terrain has no detail to change.
+        InputError: If it is no operation, a place cannot be numbered, or the terrain has no detail
+            to change.
     """
     if isinstance(operation, Stamping):
         check_stamps(terrain, operation.stamps, anchor=operation.anchor)
@@ -40,8 +42,22 @@ def check(terrain: Terrain, operation: Operation) -> None:
             iterations=operation.iterations,
             detail=operation.detail,
         )
+    elif isinstance(operation, Undoing):
+        _check_undoing(terrain, operation.seq, operation.operation)
     else:
-        check(terrain, operation.operation)
+        raise InputError(f"an operation must be one, got a {type(operation).__name__}")
+
+
+def _check_undoing(terrain: Terrain, seq: object, undone: object) -> None:
+    """Refuse what a journal would hold and nobody could do again."""
+    if type(seq) is not int:
+        raise InputError(f"the operation to take back must be a whole number, got {seq!r}")
+    if isinstance(undone, Stamping):
+        check_stamps(terrain, undone.stamps, anchor=undone.anchor, undo=True)
+    elif isinstance(undone, Patch):
+        check_patch(terrain, undone)
+    else:
+        raise InputError(f"a {type(undone).__name__} cannot be taken back exactly")
 
 
 def perform(terrain: Terrain, operation: Operation) -> Done:
