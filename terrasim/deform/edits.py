@@ -138,11 +138,16 @@ class Edits:
 
         Returns:
             What it did.
+
+        Raises:
+            RunError: If an operation failed, now or earlier: nobody reads half-changed ground.
         """
         done = Ledger()
-        if self._busy or not self._queue:
+        if self._busy:
             return done
         self._require_sound()
+        if not self._queue:
+            return done
         queue, self._queue = self._queue, []
         for one in together(self.terrain, queue):
             done += self._do(one).ledger
