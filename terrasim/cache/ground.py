@@ -142,16 +142,18 @@ class Ground:
         """Forget every edit: the source is as it is to be."""
         with self._lock:
             self._edits.clear()
-            self._details.clear()
+            self._details = {}
 
     def _details_of(self, base: Block) -> set[Block]:
         if self.detail is None:
             return set()
-        known = self._details.get(base)
+        # A thread that asks while all is forgotten must not leave its answer behind.
+        details = self._details
+        known = details.get(base)
         if known is None:
             source = self._detailed
             found = source.details(base) if source and source.detail_factor > 1 else []
-            known = self._details.setdefault(base, set(found))
+            known = details.setdefault(base, set(found))
         return known
 
 
