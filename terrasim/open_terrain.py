@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from terrasim.deform.edits import Edits
+from terrasim.errors import RunError
 from terrasim.store.branch import open_branch
 from terrasim.terrain import Terrain
 
@@ -41,11 +43,15 @@ def open_terrain(
         StoreCorrupt: If something that was acknowledged is lost or damaged.
     """
     ground = open_branch(path, branch, create=create)
+    before = ground.detail_factor
     try:
-        if detail_factor is not None and detail_factor != ground.detail_factor:
+        if detail_factor is not None and detail_factor != before:
             ground.set_detail_factor(detail_factor)
         terrain = Terrain(ground, **options)
     except BaseException:
+        if ground.detail_factor != before:
+            with suppress(RunError):
+                ground.set_detail_factor(before)
         ground.close()
         raise
     try:
