@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.counts import HOLE, Counts
+from terrasim.deform.patch import Patch, apply_patch
 from terrasim.grid import Block, Grid
 from terrasim.kernels.addressing import BLOCK, BLOCK_SHIFT
 from terrasim.sources.array_source import ArraySource
@@ -73,3 +74,39 @@ def detailed_ground(
     difference = dense.astype(np.int64) * factor - np.where(ground, total, 0)
     put_detail(terrain, np.where(ground, difference, 0).astype(np.int32))
     return terrain
+
+
+def rough_ground(
+    factor: int, rows: int = 300, cols: int = 330, *, holes: bool = False, **more: Any
+) -> Terrain:
+    """Rough ground whose first post lies within a tile of the first block."""
+    rng = np.random.default_rng(7)
+    counts = rng.integers(-200_000, 200_000, (rows, cols)).astype(np.int32)
+    if holes:
+        counts[rng.random(counts.shape) < 0.03] = HOLE
+    grid = Grid(rows, cols, 0.5, x=1e5, y=-3e5, row=-290, col=-60, datum=40.0)
+    return Terrain(ArraySource(counts, grid), detail_factor=factor, **more)
+
+
+def add_detail(terrain: Terrain, posts: Counts, row: int = 0, col: int = 0) -> None:
+    """Add differences; row and column of detail posts from the terrain's first post."""
+    first = terrain.detail.posts
+    apply_patch(terrain, Patch(first.row0 + row, first.col0 + col, posts, detail=True))
+
+
+def scatter(terrain: Terrain) -> None:
+    """Detail over borders of tiles, blocks and the terrain, and at single posts on edges."""
+    rng, factor = np.random.default_rng(8), terrain.detail.factor
+    span = terrain.detail.posts
+    rows, cols = span.row1 - span.row0, span.col1 - span.col0
+    # Post (34, 60) from the first is the corner of four blocks, (34 + 64 n, 60 + 64 m) of tiles.
+    for row, col in ((0, 0), (30, 55), (30, 120), (95, 100), (200, 20), (33, 200), (290, 320)):
+        high, wide = (
+            min(7 * factor, rows - row * factor),
+            min(9 * factor, cols - col * factor),
+        )
+        part = rng.integers(-9_000 * factor, 9_000 * factor, (high, wide)).astype(np.int32)
+        add_detail(terrain, part, row * factor, col * factor)
+    for row, col in ((98, 124), (162, 188), (98, 70)):
+        add_detail(terrain, np.full((1, 1), 7_777, np.int32), row * factor, col * factor)
+        add_detail(terrain, np.full((1, 1), 7_777, np.int32), row * factor, col * factor + 1)

@@ -64,7 +64,8 @@ def test_what_it_asks_for_is_in() -> None:
     plan = make_plan(scenario, scenario.terrain.source(Path()))
     assert plan.left_out == ()
     assert {"pxr", "matplotlib", "pyarrow"} <= set(plan.modules)
-    assert {"terrasim.kernels.balls", "terrasim.kernels.stamps"} <= set(plan.kernels)
+    assert {"terrasim.kernels.balls_detail", "terrasim.kernels.stamps"} <= set(plan.kernels)
+    assert "terrasim.kernels.balls" not in plan.kernels
     assert any(buffer.part == "balls" for buffer in plan.buffers)
 
 

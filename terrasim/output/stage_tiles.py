@@ -73,9 +73,10 @@ class StageTiles:
         return self._history.error
 
     @property
-    def parts(self) -> int:
-        """Cells shown along the side of a cell with detail; the detail's factor if all are."""
-        return self._history.parts
+    def parts(self) -> tuple[int, int] | None:
+        """Cells shown along the side of a cell with detail, and how many it has; None without."""
+        history = self._history
+        return (history.parts, history.factor) if history.cover().fine else None
 
     @property
     def cells(self) -> int:

@@ -148,6 +148,11 @@ def stage_error(shown: dict[str, Any]) -> ErrorEstimate:
     note = f"the stage's finest ground is level {shown['level']}"
     if shown["level"]:
         note += ": output.usd_cells allows no finer one"
+    if shown.get("detail_parts", 0) < shown.get("detail_factor", 0):
+        note += (
+            f"; of its detail's {shown['detail_factor']} cells along a side it shows "
+            f"{shown['detail_parts']}: raise output.usd_cells to show more"
+        )
     return ErrorEstimate("levels, stage", shown["error_m"], None, 0.0, note)
 
 

@@ -245,7 +245,7 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             "balls",
             balls > 0,
             _number(balls, "ball"),
-            kernels=("terrasim.kernels.balls",),
+            kernels=(f"terrasim.kernels.balls{'' if scenario.detail is None else '_detail'}",),
         ),
         Part(
             "check at half the step",

@@ -81,6 +81,8 @@ class Outcome:
         if tiles is not None:
             error_m = tiles.error * COUNT_M
             shown = {"cells": tiles.cells, "level": tiles.finest, "error_m": error_m}
+            if tiles.parts is not None:
+                shown["detail_parts"], shown["detail_factor"] = tiles.parts
         return cls(
             counters=simulation.terrain.cache.counters,
             ledger=simulation.ground.ledger,
