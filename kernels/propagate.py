@@ -124,17 +124,18 @@ def sample_row(pool: wp.array(dtype=int), source: int, target: int, count: int) 
 @wp.func
 def repeat_post(pool: wp.array(dtype=int), source: int, target: int, count: int) -> Extent:
     """Copy one post to a row of posts: beyond the terrain."""
-    extent = Extent(_MAX, _HOLE, _MAX, _HOLE)
     new = pool[source & _NO_SIGN]
-    for i in range(count):
-        place = (target + i) & _NO_SIGN
-        old = pool[place]
-        pool[place] = new
-        extent.old_highest = wp.max(extent.old_highest, old)
-        extent.old_lowest = wp.min(extent.old_lowest, wp.where(old == _HOLE, _MAX, old))
-    extent.highest = new
-    extent.lowest = wp.where(new == _HOLE, _MAX, new)
-    return extent
+    old_lowest = int(_MAX)
+    old_highest = int(_HOLE)
+    posts = posts_from(pool, target)
+    i = int(0)
+    while i < count:
+        old = posts[i]
+        posts[i] = new
+        old_highest = wp.max(old_highest, old)
+        old_lowest = wp.min(old_lowest, wp.where(old == _HOLE, _MAX, old))
+        i += 1
+    return Extent(wp.where(new == _HOLE, _MAX, new), new, old_lowest, old_highest)
 
 
 @wp.func
@@ -143,7 +144,9 @@ def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distances:
     found = Distances()
     from_row = piece.from_row + piece.row_step * row
     from_col = piece.from_col + piece.col_step * piece.col
-    wide = piece.col_step * piece.cols
+    # Beyond the terrain all cells of a row are alike.
+    cols = wp.where(piece.col_step == 0, 1, piece.cols)
+    wide = piece.col_step * cols
     low = offset_in_pool(piece.own, from_row, from_col)
     middle = low + (piece.row_step >> 1) * _PITCH
     high = low + piece.row_step * _PITCH
@@ -157,12 +160,12 @@ def measure_row(pool: wp.array(dtype=int), piece: Piece, row: int) -> Distances:
         if row == _MASK:
             east_high = offset_in_pool(piece.corner, piece.north_row, piece.east_col)
     found.cells = largest_distance(
-        pool, low, middle, high, piece.col_step, piece.cols, east_low, east_high
+        pool, low, middle, high, piece.col_step, cols, east_low, east_high
     )
     found.south = _NONE
     found.west = _NONE
     if row == 0 and piece.place < _PITCH:
-        found.south = lower_edges(pool, low, piece.col_step, piece.cols, east_low)
+        found.south = lower_edges(pool, low, piece.col_step, cols, east_low)
     if piece.col == 0 and (piece.place & (_PITCH - 1)) == 0:
         found.west = edge_distance(pool[low], pool[middle & _NO_SIGN], pool[high & _NO_SIGN])
     return found
@@ -217,7 +220,8 @@ def carry_up(
     if row < piece.row + piece.rows:
         if piece.layer >= 0:
             extent = sample_piece_row(pool, piece, row)
-        if piece.measure == 1:
+        # So are all rows beyond it.
+        if piece.measure == 1 and (piece.row_step > 0 or row == piece.row):
             distances = measure_row(pool, piece, row)
     tell(extent, distances, i, tally_out)
 

@@ -58,37 +58,40 @@ class _Adder:
     """Collects regions of a level, cut by the blocks below; those over the same one are joined."""
 
     def __init__(self, grid: Grid, level: int) -> None:
-        self.regions: Regions = {}
+        self._found: dict[tuple[int, int], list[int]] = {}
         span = grid.blocks(level)
         self._rows = _Axis.of(grid.row, grid.rows, level, span.row0, span.row1)
         self._cols = _Axis.of(grid.col, grid.cols, level, span.col0, span.col1)
 
+    @property
+    def regions(self) -> Regions:
+        """All that was added."""
+        return {key: Region(*one) for key, one in self._found.items()}
+
     def __call__(self, row0: int, row1: int, col0: int, col1: int, rise: int, fall: int) -> None:
         row0, row1 = self._rows.widened(row0, row1)
         col0, col1 = self._cols.widened(col0, col1)
-        if row0 >> _SHIFT == row1 >> _SHIFT and col0 >> _SHIFT == col1 >> _SHIFT:
-            self._put(Region(row0, row1, col0, col1, rise, fall))
-            return
+        # A wide stamp comes here several times a block: nothing is made that is not kept.
+        parts = [
+            (col, max(col0, col << _SHIFT), min(col1, (col << _SHIFT) + QUADRANT - 1))
+            for col in range(col0 >> _SHIFT, (col1 >> _SHIFT) + 1)
+        ]
         for row in range(row0 >> _SHIFT, (row1 >> _SHIFT) + 1):
             low, high = max(row0, row << _SHIFT), min(row1, (row << _SHIFT) + QUADRANT - 1)
-            for col in range(col0 >> _SHIFT, (col1 >> _SHIFT) + 1):
-                left, right = max(col0, col << _SHIFT), min(col1, (col << _SHIFT) + QUADRANT - 1)
-                self._put(Region(low, high, left, right, rise, fall))
-
-    def _put(self, one: Region) -> None:
-        """Take in a region over one block below."""
-        key = one.row0 >> _SHIFT, one.col0 >> _SHIFT
-        old = self.regions.get(key)
-        if old is not None:
-            one = Region(
-                min(old.row0, one.row0),
-                max(old.row1, one.row1),
-                min(old.col0, one.col0),
-                max(old.col1, one.col1),
-                max(old.rise, one.rise),
-                max(old.fall, one.fall),
-            )
-        self.regions[key] = one
+            for col, left, right in parts:
+                old = self._found.setdefault((row, col), [low, high, left, right, rise, fall])
+                if low < old[0]:
+                    old[0] = low
+                if high > old[1]:
+                    old[1] = high
+                if left < old[2]:
+                    old[2] = left
+                if right > old[3]:
+                    old[3] = right
+                if rise > old[4]:
+                    old[4] = rise
+                if fall > old[5]:
+                    old[5] = fall
 
 
 class _Axis(NamedTuple):
