@@ -80,18 +80,12 @@ class _Adder:
             low, high = max(row0, row << _SHIFT), min(row1, (row << _SHIFT) + QUADRANT - 1)
             for col, left, right in parts:
                 old = self._found.setdefault((row, col), [low, high, left, right, rise, fall])
-                if low < old[0]:
-                    old[0] = low
-                if high > old[1]:
-                    old[1] = high
-                if left < old[2]:
-                    old[2] = left
-                if right > old[3]:
-                    old[3] = right
-                if rise > old[4]:
-                    old[4] = rise
-                if fall > old[5]:
-                    old[5] = fall
+                old[0] = min(old[0], low)
+                old[1] = max(old[1], high)
+                old[2] = min(old[2], left)
+                old[3] = max(old[3], right)
+                old[4] = max(old[4], rise)
+                old[5] = max(old[5], fall)
 
 
 class _Axis(NamedTuple):
