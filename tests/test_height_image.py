@@ -227,3 +227,10 @@ def test_a_loaded_image_lies_on_the_ground_with_its_first_row_in_the_north(tmp_p
     expected[4:9, 3:7] = (wanted[::-1, :, 0] / 65535 * 2.0 - 0.25) / COUNT_M
     assert np.abs(found - expected).max() <= 0.5 + 1e-6
     assert ledger.posts == 20
+
+
+def test_float64_in_tiles_is_refused(tmp_path: Path) -> None:
+    """The library that reads images gives noise there and says nothing."""
+    path = write_image(tmp_path / "a.tif", samples("double"), "double", tile=16)
+    with pytest.raises(InputError, match="float64 in tiles is not read; write it in strips"):
+        HeightImage.load(path)
