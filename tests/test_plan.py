@@ -69,6 +69,25 @@ def test_what_it_asks_for_is_in() -> None:
     assert any(buffer.part == "balls" for buffer in plan.buffers)
 
 
+TRENCH = {
+    "kind": "trench", "x": 0.0, "y": 0.0, "points": [[-5.0, 0.0], [5.0, 0.0]],
+    "depth": 1.0, "width": 2.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [[CRATER | {"mode": "dig", "z": 1.0}], [TRENCH], [CRATER | {"detail": True}]],
+)
+def test_the_kernel_of_all_modes_is_in_for_stamps_that_need_it(stamps: list[Any]) -> None:
+    scenario = scenario_of(detail={"factor": 4}, stamps=stamps)
+    plan = make_plan(scenario, scenario.terrain.source(Path()))
+    assert {"terrasim.kernels.stamps", "terrasim.kernels.stamp_modes"} <= set(plan.kernels)
+    scenario = scenario_of(detail={"factor": 4}, stamps=[CRATER])
+    plan = make_plan(scenario, scenario.terrain.source(Path()))
+    assert "terrasim.kernels.stamp_modes" not in plan.kernels
+
+
 def test_every_part_says_why() -> None:
     for more in ({}, EVERYTHING):
         scenario = scenario_of(**more)

@@ -121,7 +121,7 @@ def test_a_turn_is_its_cosine_and_sine() -> None:
 
 def test_an_added_gaussian_ends_where_rounding_ends_it() -> None:
     """At half a count; on the detail grid at half of the finest there may be."""
-    for detail, count in ((False, 1e-5), (True, 1e-5 / 1024)):
+    for detail, count in ((False, 1e-5), (True, 1e-5 / MAX_FACTOR)):
         stamp = Gaussian(0.0, 0.0, 0.7, 2.0, detail=detail)
         assert 0.7 * np.exp(-(stamp.cut**2) / 8.0) == pytest.approx(count / 2, rel=1e-9)
     assert Gaussian(0.0, 0.0, 4e-6, 2.0).extent == (0.0, 0.0, 0.0, 0.0)

@@ -22,8 +22,10 @@ from terrasim.cache.table import table_entries
 from terrasim.detail.grid import DetailGrid
 from terrasim.errors import InputError
 from terrasim.grid import Grid
+from terrasim.kernels.shapes import CRATER
 from terrasim.scenario.actors import AgentPath, SampleGroup
 from terrasim.scenario.ground import STORE
+from terrasim.scenario.images import BLANK
 from terrasim.scenario.scenario import Scenario
 from terrasim.scenario.terrain import DemGround, Ground, SampleGround, StoreGround
 from terrasim.sources.source import Source
@@ -238,7 +240,7 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             stamps > 0,
             _number(stamps, "stamp"),
             modules=("OpenImageIO",) if any(_image(one.path) for one in files) else (),
-            kernels=("terrasim.kernels.stamps",),
+            kernels=_stamp_kernels(scenario),
         ),
         _dynamics_part(scenario),
         Part(
@@ -295,6 +297,14 @@ def _detail_layers(scenario: Scenario, grid: Grid, layers: int) -> int:
         return 0
     detail = DetailGrid(grid, scenario.detail.factor)
     return detail_layers_for(detail, scenario.detail.bytes, layers)
+
+
+def _stamp_kernels(scenario: Scenario) -> tuple[str, ...]:
+    """What is only added to level 0, in a part of x and a part of y, needs but one of them."""
+    shapes = (one.shape(BLANK) for one in (*scenario.stamps, *scenario.scatter))
+    plain = all(one.mode == "add" and one.kind <= CRATER and not one.detail for one in shapes)
+    found = ("terrasim.kernels.stamps",)
+    return found if plain else (*found, "terrasim.kernels.stamp_modes")
 
 
 def _dynamics_part(scenario: Scenario) -> Part:

@@ -14,10 +14,9 @@ from typing import ClassVar
 from terrasim.counts import COUNT_M
 from terrasim.deform.shapes.checks import check_height, check_size, refuse
 from terrasim.deform.shapes.stamp import KINK, Bounds, Extent, Shape, Stamp, disc
+from terrasim.detail.grid import MAX_FACTOR
 from terrasim.kernels.shapes import CONE, GAUSSIAN, HALF_COSINE, PARABOLOID, SPHERICAL_CAP
 
-FINEST = 1024
-"""A gaussian on the detail grid ends as on the finest there may be."""
 LEAST_WEIGHT = 1e-9
 """Where a gaussian ends that is not just added: there is no rounding to end it."""
 
@@ -49,7 +48,8 @@ class Gaussian(Stamp):
         """Distance at which it ends [m]."""
         times = 1.0 / LEAST_WEIGHT
         if self.mode == "add":
-            times = 2.0 * abs(self.amplitude) / COUNT_M * (FINEST if self.detail else 1)
+            # On the detail grid it ends as on the finest there may be.
+            times = 2.0 * abs(self.amplitude) / COUNT_M * (MAX_FACTOR if self.detail else 1)
         return self.sigma * math.sqrt(2.0 * math.log(times)) if times > 1.0 else 0.0
 
     @property
