@@ -11,6 +11,7 @@ from shape_formulas import BEND, FORMULAS, PICTURE, WANDERING, Formula, kernel_a
 
 from terrasim.deform.shapes.footprint import turn_of
 from terrasim.deform.stamps import Berm, Flatten, Gaussian, Noise, Stamp, Texture, Trench
+from terrasim.detail.grid import MAX_FACTOR
 
 
 def names() -> list[str]:
