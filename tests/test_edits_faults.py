@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from faulty_disk import Fault, FaultyVFS
 from stored import killed
 
 import terrasim as ts
-from terrasim.deform.edits import edits_of
+from terrasim.deform.edits import Edits, edits_of
 from terrasim.deform.operations import Relaxing, Stamping, Undoing
 from terrasim.deform.patch import Patch
 from terrasim.errors import InputError, RunError
@@ -239,6 +240,8 @@ def test_a_checkpoint_that_fails_is_made_up_for(path: Path, disk: FaultyVFS, kin
         assert bits(terrain) == ground == model_of(8)
         disk.begin(None)
         copy = killed(path, path.parent / "copy")
+        edits.checkpoint()
+        assert edits.require_branch().checkpoint_seq == 8
         for one in operations()[8:]:
             edits.commit(one)
         edits.checkpoint()
@@ -249,6 +252,38 @@ def test_a_checkpoint_that_fails_is_made_up_for(path: Path, disk: FaultyVFS, kin
         with opened(name) as terrain:
             assert bits(terrain) == model_of(done)
             assert edits_of(terrain).replayed == (4 if done == 8 else 0)
+
+
+def test_what_changes_while_a_checkpoint_is_written_is_in_the_next(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same blocks again, out of the pool already when the first writing ends."""
+    begun, goes_on = threading.Event(), threading.Event()
+    with opened(path) as terrain:
+        edits = edits_of(terrain)
+        branch = edits.require_branch()
+        write = branch.checkpoint
+
+        def slowly(blocks: Any, seq: int) -> Any:
+            begun.set()
+            goes_on.wait()
+            return write(blocks, seq)
+
+        monkeypatch.setattr(branch, "checkpoint", slowly)
+        monkeypatch.setattr(sys.modules[Edits.__module__], "DIRTY_BYTES", -1)
+        edits.commit(operations()[4])
+        begun.wait()
+        for one in operations()[5:]:
+            edits.commit(one)
+        terrain.cache.flush()
+        goes_on.set()
+        edits.checkpoint()
+        assert bits(terrain) == model_of(10)
+        copy = killed(path, path.parent / "copy")
+    for name in (copy, path):
+        with opened(name) as terrain:
+            assert edits_of(terrain).replayed == 0
+            assert bits(terrain) == model_of(10)
 
 
 def test_closing_on_a_disk_that_fails_says_so_and_loses_nothing(
