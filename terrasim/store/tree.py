@@ -92,6 +92,20 @@ def decode(data: bytes) -> tuple[int, Node]:
         raise StoreCorrupt(f"a node of {len(data)} bytes is cut short; {REMEDY}") from None
 
 
+def parts(at: Block, depth: int, place: int) -> Block:
+    """Where a part of a node is, in parts of its size from the level's first block.
+
+    Args:
+        at: Where the node is, in nodes of its size.
+        depth: The node's depth.
+        place: The part's place in it; a root's are the levels.
+    """
+    if depth == 0:
+        return Block(place, 0, 0)
+    row, col = place >> _BITS, place & _SIDE - 1
+    return Block(at.level, at.row << _BITS | row, at.col << _BITS | col)
+
+
 def find(nodes: Callable[[bytes], Node], node: bytes, where: Extent, key: Block) -> Entry | None:
     """A block's entry below a level's node; None if the block was never changed.
 

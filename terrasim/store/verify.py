@@ -64,7 +64,7 @@ def _all(path: Path, db: apsw.Connection, found: Findings) -> None:
             meta = read_meta(path, db)
             found.check(lambda: _imported(db, found, meta, blobs))
             if version > 1:
-                check_history(db, found, blobs)
+                check_history(db, found, Grid(**meta["grid"]), blobs)
 
 
 def _imported(db: apsw.Connection, found: Findings, meta: dict[str, Any], blobs: Blobs) -> None:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import apsw
 
 from terrasim.errors import RunError
+from terrasim.grid import Block
 from terrasim.store.store_file import blob_hash
-from terrasim.store.tree import NODE_CODEC, Entry, decode
+from terrasim.store.tree import NODE_CODEC, Entry, Extent, decode, parts
 
 
 @dataclass
@@ -46,22 +47,31 @@ class Blobs:
                 self.nodes[name] = data
         found.counts["blobs"] = len(self.sound)
 
-    def tree(self, root: bytes) -> Iterator[str]:
-        """Visit a tree as far as it was not visited; what is wrong with it."""
-        waiting = [root] if root and root not in self.used else []
+    def tree(self, root: bytes, extents: Callable[[int], Extent]) -> Iterator[str]:
+        """Visit a tree as far as it was not visited; what is wrong with it.
+
+        Args:
+            root: The tree; empty bytes for an empty one.
+            extents: A level's extent, by which the blocks are named.
+        """
+        waiting = [(root, Block(0, 0, 0))] if root and root not in self.used else []
         while waiting:
-            name = waiting.pop()
+            name, at = waiting.pop()
             self.used.add(name)
             if name not in self.nodes:
                 yield f"node {name.hex()} is missing or damaged"
                 continue
-            for held in decode(self.nodes[name])[1].values():
+            depth, node = decode(self.nodes[name])
+            for place, held in node.items():
                 child = held.content if isinstance(held, Entry) else held
                 if child in self.used:
                     continue
-                if isinstance(held, Entry):
-                    self.used.add(child)
-                    if child not in self.sound:
-                        yield f"blob {child.hex()} of a block is missing or damaged"
-                else:
-                    waiting.append(held)
+                below = parts(at, depth, place)
+                if not isinstance(held, Entry):
+                    waiting.append((held, below))
+                    continue
+                self.used.add(child)
+                if child not in self.sound:
+                    rows = extents(below.level).rows
+                    key = (below.level, below.row + rows.row0, below.col + rows.col0)
+                    yield f"blob {child.hex()} of block {key} is missing or damaged"

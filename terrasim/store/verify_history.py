@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from functools import partial
 from typing import NamedTuple
 
 import apsw
 
+from terrasim.grid import Grid
 from terrasim.store import records
 from terrasim.store.codec import StoreCorrupt
 from terrasim.store.journal import floor_of, op_hash, read_rows
 from terrasim.store.names import Names, read_names
 from terrasim.store.records import Checkpoint, Epoch, Idem
+from terrasim.store.tree import extent
 from terrasim.store.verify_blobs import Blobs, Findings
 
 
@@ -23,7 +26,7 @@ class _Claim(NamedTuple):
     who: str
 
 
-def check_history(db: apsw.Connection, found: Findings, blobs: Blobs) -> None:
+def check_history(db: apsw.Connection, found: Findings, grid: Grid, blobs: Blobs) -> None:
     """Check journal, checkpoints, branches and snapshots, and all that they need.
 
     Raises:
@@ -33,10 +36,11 @@ def check_history(db: apsw.Connection, found: Findings, blobs: Blobs) -> None:
     epochs = {one.id: one for one in records.read_all(db, Epoch)}
     checkpoints = {one.id: one for one in records.read_all(db, Checkpoint)}
     claims = _names(found, names, epochs, checkpoints)
+    extents = partial(extent, grid, factor=names.state.factor)
     for at in checkpoints.values():
         if at.epoch in epochs:
             claims[at.epoch].append(_Claim(at.seq, at.chain, f"checkpoint {at.id}"))
-        found.problems += [f"checkpoint {at.id}: {one}" for one in blobs.tree(at.root)]
+        found.problems += [f"checkpoint {at.id}: {one}" for one in blobs.tree(at.root, extents)]
     ops = {(one.key, one.seq): one.op for one in records.read_all(db, Idem)}
     rows = 0
     for epoch in epochs.values():
