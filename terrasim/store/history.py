@@ -14,6 +14,9 @@ from terrasim.store.opening import require_file, require_store
 from terrasim.store.readers import Readers
 from terrasim.store.store_file import connect_reader
 
+_MOST = 2**63 - 1
+"""SQLite counts no further."""
+
 
 def history(path: str | Path, branch: str = MAIN, limit: int = 100) -> list[JournalRow]:
     """The newest operations of a branch, newest first; the store may be in use.
@@ -24,6 +27,7 @@ def history(path: str | Path, branch: str = MAIN, limit: int = 100) -> list[Jour
         StoreCorrupt: If a row is not as it was written.
     """
     path = Path(path)
+    _check_limit(limit)
     require_file(path)
     require_acknowledged(path)
     readers = Readers(path, lambda: connect_reader(path))
@@ -47,12 +51,11 @@ def newest_first(readers: Readers, epoch: int, limit: int) -> list[JournalRow]:
         InputError: If the limit is negative.
         StoreCorrupt: If a row is not as it was written.
     """
-    if limit < 0:
-        raise InputError(f"limit must not be negative, got {limit}")
+    _check_limit(limit)
     found: list[JournalRow] = []
     for one, until in _stretches(readers, epoch):
         if len(found) < limit:
-            found += newest_rows(readers.fetch, one, until, limit - len(found))
+            found += newest_rows(readers.fetch, one, until, min(limit - len(found), _MOST))
     return found
 
 
@@ -67,6 +70,11 @@ def oldest_first(readers: Readers, epoch: int, first: int) -> Iterator[JournalRo
             tail = chain_at(readers.fetch, one, first - 1)
             for row, _ in read_rows(readers.fetch, tail, until):
                 yield row
+
+
+def _check_limit(limit: int) -> None:
+    if limit < 0:
+        raise InputError(f"limit must not be negative, got {limit}; give how many to list at most")
 
 
 def _stretches(readers: Readers, epoch: int) -> list[Stretch]:
