@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 
 def show_result(result: dict[str, Any], as_json: bool, show: Any) -> None:
@@ -25,7 +26,8 @@ def print_tree(values: dict[str, Any], console: Console | None = None) -> None:
     """Nested values, one a line."""
     console = console or Console()
     for path, value in _leaves(values, ""):
-        console.print(f"{path}: {value}", markup=False, highlight=False, soft_wrap=True)
+        line = f"{path}: {value}"
+        console.print(line, markup=False, emoji=False, highlight=False, soft_wrap=True)
 
 
 def print_rows(name: str, rows: list[dict[str, Any]], console: Console | None = None) -> None:
@@ -37,10 +39,14 @@ def print_rows(name: str, rows: list[dict[str, Any]], console: Console | None = 
     if not heads:
         console.print(f"no {name}", markup=False)
         return
-    table = Table(*heads, title=name, title_justify="left")
+    table = Table(title=name, title_justify="left")
+    for head in heads:
+        # Names are to be typed again: they are folded, never cut off.
+        table.add_column(head, overflow="fold")
     for row in rows:
-        table.add_row(*("" if row[key] is None else str(row[key]) for key in heads))
-    console.print(table, markup=False)
+        # As text, or rich makes an emoji of the x in job:x:1.
+        table.add_row(*(Text("" if row[key] is None else str(row[key])) for key in heads))
+    console.print(table)
 
 
 def print_plan(plan: dict[str, Any], console: Console | None = None) -> None:
