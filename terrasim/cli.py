@@ -158,6 +158,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 def command(argv: Sequence[str]) -> int:
     """Run a command; returns its exit status."""
     try:
+        _require_text(argv)
         status = app(args=list(argv), prog_name="terrasim", standalone_mode=False)
     except BrokenPipeError:
         # Nobody reads on: say nothing, and let the interpreter not flush into it again.
@@ -166,6 +167,15 @@ def command(argv: Sequence[str]) -> int:
     except _EXPECTED as error:
         return _failed(error)
     return status if isinstance(status, int) else 0
+
+
+def _require_text(argv: Sequence[str]) -> None:
+    """Refuse what is no text before anything is done: SQLite and GDAL take no other names."""
+    for one in argv:
+        try:
+            one.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"names must be UTF-8, got {one!r}: choose another") from None
 
 
 def _failed(error: BaseException) -> int:
