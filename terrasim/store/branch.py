@@ -78,9 +78,13 @@ class Branch(Newest):
             with self._readers.borrow() as db:
                 meta = read_meta(path, db)
             super().__init__(StoreSource(meta, self._readers, self._standing.at))
-        except BaseException:
+        except BaseException as error:
             self._readers.close()
-            self._writer.abandon()
+            if isinstance(error, InputError) and self._writer.last_note is None:
+                # The store is well, only the name is wrong: nothing stays beside it.
+                self._writer.close()
+            else:
+                self._writer.abandon()
             raise
 
     @property
