@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from terrasim.cli_print import print_rows, print_tree, show_result
+from terrasim.errors import InputError
 
 Store = Annotated[Path, typer.Argument(help="The store.", show_default=False)]
 Name = Annotated[str | None, typer.Argument(help="Its name; without one, all are listed.")]
@@ -57,6 +58,7 @@ def snapshot(
     """Name the state of a branch to come back to, or list the snapshots."""
     from terrasim.store.names import snapshots
 
+    _require_name(name, drop=drop)
     if name is not None and drop:
         _with_branch(store, branch, lambda one: one.drop_snapshot(name))
     elif name is not None:
@@ -78,6 +80,9 @@ def branch(
     """Begin a branch, or list the branches."""
     from terrasim.store.names import branches
 
+    _require_name(name, drop=drop, at=at is not None)
+    if drop and at is not None:
+        raise InputError("a branch is begun --at a snapshot or dropped: give one, got both")
     if name is not None and drop:
         _with_branch(store, "main", lambda one: one.drop_branch(name))
     elif name is not None and at is not None:
@@ -128,11 +133,26 @@ def verify(store: Store, as_json: Json = False) -> None:
 
 
 @commands.command()
-def collect(store: Store, as_json: Json = False) -> None:
+def collect(
+    store: Store,
+    keep: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Journal rows to keep, counted back from every branch and snapshot; all by "
+            "default. What is older cannot be undone any more.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
     """Delete what no branch and no snapshot needs, and make the file smaller."""
     from terrasim.store.collect import collect as let_go
 
-    show_result({"store": str(store), **let_go(store)}, as_json, print_tree)
+    def work(one: Any) -> dict[str, Any]:
+        trimmed = 0 if keep is None else one.trim(keep)
+        return {"store": str(store), "trimmed_rows": trimmed, **let_go(one)}
+
+    show_result(_with_branch(store, "main", work), as_json, print_tree)
 
 
 @commands.command()
@@ -170,6 +190,13 @@ def export(
     with heights, progress_bar() as progress:
         made = write(heights, file, progress=progress)
     show_result(made, as_json, print_tree)
+
+
+def _require_name(name: str | None, **options: bool) -> None:
+    """Refuse options that need a name and would do nothing without one."""
+    for option, given in options.items():
+        if given and name is None:
+            raise InputError(f"--{option} needs a name, got none: give it after the store")
 
 
 def _with_branch(store: Path, name: str, work: Callable[[Any], Any]) -> Any:

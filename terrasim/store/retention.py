@@ -25,6 +25,8 @@ def first_needed(db: apsw.Connection, keep: int) -> dict[int, int]:
     Needed are all rows that no checkpoint holds yet, and the newest ``keep`` of the history of
     every branch and every snapshot.
     """
+    # SQLite counts no further.
+    keep = min(keep, 2**63 - 1)
     names = read_names(db)
     needed: dict[int, int] = {}
     for branch in names.branches.values():
