@@ -15,6 +15,7 @@ from stored import ENDINGS, alter, build, killed
 from terrasim.errors import InputError
 from terrasim.store.branch import open_branch
 from terrasim.store.codec import StoreCorrupt
+from terrasim.store.history import history
 from terrasim.store.journal import MAX_OP_BYTES, NewRow
 from terrasim.store.store import open_store
 from terrasim.store.verify import verify
@@ -130,6 +131,8 @@ def test_an_altered_journal_is_refused(path: Path, sql: str) -> None:
     assert alter(path, sql) > 0
     with pytest.raises(StoreCorrupt, match="journal row"):
         open_branch(path)
+    with pytest.raises(StoreCorrupt, match="journal row"):
+        history(path)
 
 
 def left_behind(path: Path, folder: Path, rows: int, *, note: bool) -> Path:

@@ -194,7 +194,7 @@ class Branch(Newest):
             InputError: If the limit is negative.
             StoreCorrupt: If a row is not as it was written.
         """
-        return newest_first(self._readers, self._standing.row.epoch, limit)
+        return newest_first(self._readers, self._standing.row, limit)
 
     def checkpoint(self, blocks: Mapping[Block, BlockData | None], seq: int) -> Checkpoint:
         """Write images of what has changed since the last checkpoint.

@@ -12,6 +12,7 @@ from terrasim.store.names import MAIN, find_branch, no_names, one_state, read_na
 from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import require_file, require_store
 from terrasim.store.readers import Readers
+from terrasim.store.records import BranchRow
 from terrasim.store.store_file import connect_reader
 
 _MOST = 2**63 - 1
@@ -39,13 +40,13 @@ def history(path: str | Path, branch: str = MAIN, limit: int = 100) -> list[Jour
                 names = read_names(db)
         if branch == MAIN and MAIN not in names.branches:
             return []
-        return newest_first(readers, find_branch(names, branch).epoch, limit)
+        return newest_first(readers, find_branch(names, branch), limit)
     finally:
         readers.close()
 
 
-def newest_first(readers: Readers, epoch: int, limit: int) -> list[JournalRow]:
-    """The newest rows of an epoch's history, newest first.
+def newest_first(readers: Readers, branch: BranchRow, limit: int) -> list[JournalRow]:
+    """The newest rows of a branch's history, newest first.
 
     Raises:
         InputError: If the limit is negative.
@@ -53,9 +54,12 @@ def newest_first(readers: Readers, epoch: int, limit: int) -> list[JournalRow]:
     """
     _check_limit(limit)
     found: list[JournalRow] = []
-    for one, until in _stretches(readers, epoch):
+    for one, until in _stretches(readers, branch.epoch):
         if len(found) < limit:
-            found += newest_rows(readers.fetch, one, until, min(limit - len(found), _MOST))
+            # An older epoch ends at the checkpoint from which the next one went on.
+            least = branch.tail if one.id == branch.epoch else until
+            most = min(limit - len(found), _MOST)
+            found += newest_rows(readers.fetch, one, until, least, most)
     return found
 
 

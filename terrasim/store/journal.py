@@ -161,8 +161,17 @@ def chain_at(fetch: Fetch, epoch: Epoch, seq: int) -> Tail:
     return floor_of(epoch)
 
 
-def newest_rows(fetch: Fetch, epoch: Epoch, until: int, count: int) -> list[JournalRow]:
+def newest_rows(
+    fetch: Fetch, epoch: Epoch, until: int, least: int, count: int
+) -> list[JournalRow]:
     """The newest rows of an epoch up to a number, newest first, each checked, without operations.
+
+    Args:
+        fetch: Runs a query.
+        epoch: The epoch.
+        until: Number of the last row that is wanted.
+        least: A row of this number must be there, if the journal goes back that far.
+        count: At most so many.
 
     Raises:
         StoreCorrupt: If a row is not as it was written, or one between them is missing.
@@ -171,6 +180,9 @@ def newest_rows(fetch: Fetch, epoch: Epoch, until: int, count: int) -> list[Jour
         "SELECT id FROM journal WHERE id > ? AND id <= ? ORDER BY id DESC LIMIT ?",
         (row_id(epoch.id, epoch.floor), row_id(epoch.id, until), count),
     )
+    newest = ids[0][0] - row_id(epoch.id, 0) if ids else epoch.floor
+    if newest < least and count:
+        raise StoreCorrupt(f"journal row {least} is missing; {REMEDY}")
     if not ids:
         return []
     tail = chain_at(fetch, epoch, ids[-1][0] - row_id(epoch.id, 0) - 1)
