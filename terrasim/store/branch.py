@@ -185,7 +185,7 @@ class Branch(Newest):
         Raises:
             StoreCorrupt: If a row is not as it was written.
         """
-        return oldest_first(self._readers, self._standing.row.epoch, first)
+        return oldest_first(self._readers, self._standing.row, first)
 
     def history(self, limit: int = 100) -> list[JournalRow]:
         """The newest rows of the branch's history, newest first.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from terrasim.errors import InputError
 from terrasim.store.epochs import Stretch, lineage
-from terrasim.store.journal import JournalRow, chain_at, newest_rows, read_rows
+from terrasim.store.journal import JournalRow, chain_at, newest_rows, read_rows, require_row
 from terrasim.store.names import MAIN, find_branch, no_names, one_state, read_names
 from terrasim.store.noted import require_acknowledged
 from terrasim.store.opening import require_file, require_store
@@ -54,26 +54,26 @@ def newest_first(readers: Readers, branch: BranchRow, limit: int) -> list[Journa
     """
     _check_limit(limit)
     found: list[JournalRow] = []
-    for one, until in _stretches(readers, branch.epoch):
+    for (one, until), least in _stretches(readers, branch):
         if len(found) < limit:
-            # An older epoch ends at the checkpoint from which the next one went on.
-            least = branch.tail if one.id == branch.epoch else until
             most = min(limit - len(found), _MOST)
             found += newest_rows(readers.fetch, one, until, least, most)
     return found
 
 
-def oldest_first(readers: Readers, epoch: int, first: int) -> Iterator[JournalRow]:
-    """Rows of an epoch's history from a number on, oldest first, as far as they were not trimmed.
+def oldest_first(readers: Readers, branch: BranchRow, first: int) -> Iterator[JournalRow]:
+    """Rows of a branch's history from a number on, oldest first, as far as they were not trimmed.
 
     Raises:
-        StoreCorrupt: If a row is not as it was written.
+        StoreCorrupt: If a row is not as it was written, or one that must be there is missing.
     """
-    for one, until in reversed(_stretches(readers, epoch)):
+    for (one, until), least in reversed(_stretches(readers, branch)):
         if until >= first:
             tail = chain_at(readers.fetch, one, first - 1)
-            for row, _ in read_rows(readers.fetch, tail, until):
+            for row, after in read_rows(readers.fetch, tail, until):
+                tail = after
                 yield row
+            require_row(tail.seq, least, first)
 
 
 def _check_limit(limit: int) -> None:
@@ -81,6 +81,9 @@ def _check_limit(limit: int) -> None:
         raise InputError(f"limit must not be negative, got {limit}; give how many to list at most")
 
 
-def _stretches(readers: Readers, epoch: int) -> list[Stretch]:
+def _stretches(readers: Readers, branch: BranchRow) -> list[tuple[Stretch, int]]:
+    """Where a history lies, newest first, each with the number of a row that must be there."""
     with readers.borrow() as db, one_state(db):
-        return lineage(db, epoch)
+        found = lineage(db, branch.epoch)
+    # An older epoch ends at the checkpoint from which the next one went on.
+    return [(one, branch.tail if one.epoch.id == branch.epoch else one.until) for one in found]

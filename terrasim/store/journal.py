@@ -161,9 +161,7 @@ def chain_at(fetch: Fetch, epoch: Epoch, seq: int) -> Tail:
     return floor_of(epoch)
 
 
-def newest_rows(
-    fetch: Fetch, epoch: Epoch, until: int, least: int, count: int
-) -> list[JournalRow]:
+def newest_rows(fetch: Fetch, epoch: Epoch, until: int, least: int, count: int) -> list[JournalRow]:
     """The newest rows of an epoch up to a number, newest first, each checked, without operations.
 
     Args:
@@ -180,13 +178,22 @@ def newest_rows(
         "SELECT id FROM journal WHERE id > ? AND id <= ? ORDER BY id DESC LIMIT ?",
         (row_id(epoch.id, epoch.floor), row_id(epoch.id, until), count),
     )
-    newest = ids[0][0] - row_id(epoch.id, 0) if ids else epoch.floor
-    if newest < least and count:
-        raise StoreCorrupt(f"journal row {least} is missing; {REMEDY}")
+    if count:
+        require_row(ids[0][0] - row_id(epoch.id, 0) if ids else epoch.floor, least)
     if not ids:
         return []
     tail = chain_at(fetch, epoch, ids[-1][0] - row_id(epoch.id, 0) - 1)
     return [row for row, _ in read_rows(fetch, tail, until)][::-1]
+
+
+def require_row(newest: int, least: int, first: int = 0) -> None:
+    """Refuse a journal whose newest row is older than one that must be there and is asked for.
+
+    Raises:
+        StoreCorrupt: If it is.
+    """
+    if newest < least and first <= least:
+        raise StoreCorrupt(f"journal row {least} is missing; {REMEDY}")
 
 
 def _checked(tail: Tail, row: tuple[Any, ...]) -> Tail:
