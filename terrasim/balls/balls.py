@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from terrasim.balls.moving import Moved, board, leave
 from terrasim.balls.reach import Reach, next_reach
 from terrasim.cache.needs import Boxes
 from terrasim.deform.anchored import Anchor, cells
@@ -52,6 +53,8 @@ class Balls:
     """What happened to each ball since it was made, ``kernels.balls.Tally``."""
     reach: Reach | None = None
     """Ground required for the coming steps. Make it None after changing cells or velocities."""
+    moved: Moved | None = None
+    """How far the ground moved under them since the last step, where it did; see ``moving``."""
 
     @property
     def count(self) -> int:
@@ -130,7 +133,7 @@ class Balls:
         for name in ("cell", "offset", "z", "velocity", "material", "tally"):
             array = getattr(self, name)
             arrays[name] = wp.array(array.numpy()[chosen], dtype=array.dtype, device=array.device)
-        return replace(self, reach=None, **arrays)
+        return replace(self, reach=None, moved=None, **arrays)
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,9 @@ def totals(balls: Balls) -> Totals:
 
 def reach(terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81) -> Boxes:
     """Ground the balls may touch in the next step, for ``cache.require``; ask once a step."""
-    balls.reach = next_reach(terrain.grid, balls.cell, balls.velocity, dt, gravity, balls.reach)
+    last = balls.reach if balls.moved is None else None
+    extra = 0.0 if balls.moved is None or dt == 0.0 else balls.moved.most / dt
+    balls.reach = next_reach(terrain.grid, balls.cell, balls.velocity, dt, gravity, last, extra)
     return balls.reach.boxes
 
 
@@ -192,6 +197,7 @@ def step(
         terrain.cache.require([reach(terrain, balls, dt, gravity=gravity)])
     now: Any = Step()
     now.dt, now.gravity = dt, gravity
+    rates = board(terrain, balls, now)
     launch(
         step_balls_on_detail if terrain.lattice.factor > 1 else step_balls,
         balls.count,
@@ -207,6 +213,7 @@ def step(
         device=terrain.device,
         threads=terrain.threads,
     )
+    leave(terrain, balls, rates)
 
 
 def _stand(terrain: Terrain, balls: Balls) -> None:

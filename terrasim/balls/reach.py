@@ -30,13 +30,19 @@ class Reach:
 
 
 def next_reach(
-    grid: Grid, cell: Any, velocity: Any, dt: float, gravity: float, last: Reach | None
+    grid: Grid,
+    cell: Any,
+    velocity: Any,
+    dt: float,
+    gravity: float,
+    last: Reach | None,
+    ground_speed: float = 0.0,
 ) -> Reach:
     """The ground for one more step.
 
-    Nothing speeds a ball up but gravity, and an impact may turn its whole speed any way. So the
-    fastest ball's speed, grown by gravity, bounds every way in every direction, and the arrays are
-    read only when the room that was left in the last reach is used up.
+    Nothing speeds a ball up but gravity and ground that moves, and an impact may turn its whole
+    speed any way. So the fastest ball's speed, grown by them, bounds every way in every direction,
+    and the arrays are read only when the room that was left in the last reach is used up.
 
     Args:
         grid: The terrain's grid.
@@ -45,12 +51,15 @@ def next_reach(
         dt: Length of the step [s].
         gravity: Downward acceleration [m/s^2].
         last: What this gave for the step before; None to begin or when a ball was put elsewhere.
+        ground_speed: No ground under a ball moves faster in this step [m/s].
     """
     if last is not None:
         way = (last.speed + gravity * dt) * dt
         if way <= last.room:
             return replace(last, room=last.room - way, speed=last.speed + gravity * dt)
     speed = math.sqrt(np.square(velocity.numpy()).sum(axis=1).max(initial=0.0))
+    # Off the ground in the ground's own frame, and back in the datum's.
+    speed += 2.0 * ground_speed
     way = (speed + gravity * dt) * dt
     room = max(way, SLACK_CELLS * grid.spacing)
     boxes = _blocks_around(grid, cell.numpy().astype(np.int64), room)

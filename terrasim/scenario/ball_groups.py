@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from terrasim.balls.balls import Balls, reach, step, totals
+from terrasim.balls.moving import moving
 from terrasim.cache.needs import Boxes
 from terrasim.counts import COUNT_M
 from terrasim.scenario.actors import draw_sizes
@@ -85,6 +87,10 @@ class MovingBalls:
     def needs(self, terrain: Terrain, dt_s: float) -> list[Boxes]:
         """Ground that they may touch within a step."""
         return [reach(terrain, self._balls, dt_s, gravity=self._gravity)]
+
+    def moving(self, terrain: Terrain) -> AbstractContextManager[None]:
+        """Let what changes the ground within throw and carry them."""
+        return moving(terrain, self._balls)
 
     def step(self, terrain: Terrain, dt_s: float) -> None:
         """Move them; what they need has been required."""

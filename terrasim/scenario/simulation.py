@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -152,12 +153,15 @@ class Simulation:
         """
         setup, boxes = self._setup, []
         if self.dynamics is not None:
-            boxes += self.ground.go_on(self.dynamics, self.step)
+            with self._moving():
+                boxes += self.ground.go_on(self.dynamics, self.step)
         event = self._events.get(self.step)
         if event is not None:
             self.ground.stamp(event.stamps, setup.anchor)
             boxes += stamp_boxes(event.stamps, setup.anchor, self.terrain.grid.spacing)
-        boxes += self.ground.slump()
+        if setup.scenario.relaxation is not None:
+            with self._moving():
+                boxes += self.ground.slump()
         before_s = self.time_s - setup.dt_s if self.step else -1.0
         self.ground.keep(before_s, self.time_s)
         return boxes or None
@@ -178,6 +182,10 @@ class Simulation:
     ) -> None:
         """Close."""
         self.close()
+
+    def _moving(self) -> AbstractContextManager[None]:
+        """Let what changes the ground within throw and carry the balls."""
+        return nullcontext() if self.balls is None else self.balls.moving(self.terrain)
 
     def _prepare_dynamics(self) -> None:
         if not self._setup.scenario.dynamics:
