@@ -1,13 +1,15 @@
-"""Balls on ground that changes: edits at once have no speed, ground that moves throws and carries."""
+"""Balls on ground that changes: edits at once have no speed; ground that moves has one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+import warp as wp
 
 from terrasim.balls.balls import Balls, step, totals
 from terrasim.balls.moving import moving
@@ -22,6 +24,7 @@ from terrasim.deform.shock import RunningShock, Shock
 from terrasim.deform.stamps import ConeStamp, Gaussian
 from terrasim.deform.target import target_of
 from terrasim.grid import Grid
+from terrasim.kernels.rise import Rise
 from terrasim.query import sample
 from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
@@ -330,3 +333,23 @@ def test_no_balls_on_moving_ground_are_no_error() -> None:
         with moving(terrain, balls):
             lift(terrain, 1.0)
         step(terrain, balls, DT)
+
+
+def test_the_plan_names_moving_ground_where_balls_meet_it_and_its_bytes() -> None:
+    from terrasim.balls.ball_bytes import RISE_BYTES
+    from terrasim.scenario.plan import make_plan
+    from terrasim.scenario.scenario import parse_scenario
+
+    scene: dict[str, Any] = {
+        "terrain": {"kind": "flat", "rows": 64, "cols": 64, "spacing": 1.0},
+        "run": {"duration_s": 0.1, "dt_s": 0.01},
+        "balls": [{"count": 7, "radius": 0.1, "region": {"size_x": 9.0, "size_y": 9.0}}],
+    }
+    still = parse_scenario(scene)
+    source = still.terrain.source(Path())
+    assert "terrasim.kernels.rise" not in make_plan(still, source).kernels
+    plan = make_plan(parse_scenario(scene | {"relaxation": {"angle_deg": 35.0}}), source)
+    assert "terrasim.kernels.rise" in plan.kernels
+    sized = {buffer.name: buffer.bytes for buffer in plan.buffers}
+    assert sized["rise of the ground under balls"] == 7 * RISE_BYTES
+    assert wp.types.type_size_in_bytes(Rise) + 8 == RISE_BYTES

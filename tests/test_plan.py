@@ -51,8 +51,8 @@ def test_what_the_scenario_does_not_ask_for_is_left_out() -> None:
     plan = make_plan(scenario, scenario.terrain.source(Path()))
     left = {part.name for part in plan.left_out}
     assert left == {
-        "detail", "relaxation", "store", "stamps", "dynamics", "balls", "check at half the step",
-        "agents", "samples", "picture", "usd", "parquet",
+        "detail", "relaxation", "store", "stamps", "dynamics", "balls", "balls on moving ground",
+        "check at half the step", "agents", "samples", "picture", "usd", "parquet",
     }  # fmt: skip
     assert set(plan.modules) == {"numpy", "warp"}
     assert plan.kernels == ()

@@ -12,3 +12,6 @@ BALL_BYTES: int = sum(
     for dtype in (wp.vec2i, wp.vec2d, wp.float64, wp.vec3d, Material, Tally)
 )
 """Bytes of the arrays of :class:`terrasim.balls.balls.Balls`, a ball."""
+
+RISE_BYTES: int = 6 * 8 + 8
+"""Bytes of ``kernels.rise.Rise`` and of the ground's rate, a ball, in steps whose ground moves."""

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from terrasim.kernels.rise import AFTER, AGAIN, FIRST, Rise
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
@@ -57,6 +56,8 @@ def moving(terrain: Terrain, balls: Balls) -> Iterator[None]:
     if balls.count == 0:
         yield
         return
+    from terrasim.kernels.rise import AFTER, AGAIN, FIRST, Rise
+
     if balls.reach is None:
         from terrasim.balls.balls import reach
 

@@ -250,6 +250,15 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             kernels=(f"terrasim.kernels.balls{'' if scenario.detail is None else '_detail'}",),
         ),
         Part(
+            "balls on moving ground",
+            _carries(scenario),
+            "what changes over time throws and carries them",
+            kernels=(
+                "terrasim.kernels.rise",
+                *(() if scenario.detail is None else ("terrasim.kernels.rise_detail",)),
+            ),
+        ),
+        Part(
             "check at half the step",
             rerun,
             f"{checked} of {balls} balls" if rerun else "no moving balls to check",
@@ -259,6 +268,12 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             "samples", samples > 0, _number(samples, "place"), kernels=("terrasim.kernels.sample",)
         ),
     ]
+
+
+def _carries(scenario: Scenario) -> bool:
+    """Whether balls are on ground that moves."""
+    moves = bool(scenario.dynamics) or scenario.relaxation is not None
+    return moves and bool(scenario.balls)
 
 
 def output_parts(scenario: Scenario) -> list[Part]:
@@ -335,13 +350,21 @@ def ball_buffers(scenario: Scenario) -> list[Buffer]:
     count = sum(group.count for group in scenario.balls)
     if not count:
         return []
-    from terrasim.balls.ball_bytes import BALL_BYTES
+    from terrasim.balls.ball_bytes import BALL_BYTES, RISE_BYTES
 
     recorded = 24 * count * len(frame_steps(scenario))
     return [
         Buffer(f"state of {count} balls", "balls", DEVICE, count * BALL_BYTES),
+        *_rises(scenario, count * RISE_BYTES),
         Buffer("recorded places of balls", "balls", HOST, recorded),
     ]
+
+
+def _rises(scenario: Scenario, size: int) -> list[Buffer]:
+    """What the ground under balls does in a step, where it does anything."""
+    if not _carries(scenario):
+        return []
+    return [Buffer("rise of the ground under balls", "balls on moving ground", DEVICE, size)]
 
 
 def checked_balls(scenario: Scenario) -> int:
