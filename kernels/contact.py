@@ -119,16 +119,21 @@ def normal(plane: Plane) -> wp.vec3d:
 
 
 @wp.func
-def strike(plane: Plane, v: wp.vec3d, material: Material, step: Step) -> wp.vec3d:
-    """Velocity after an impact: restitution along the normal, Coulomb's friction across it.
+def rebound(plane: Plane, v: wp.vec3d, material: Material, step: Step) -> wp.float64:
+    """Speed along the normal after an impact.
 
     A ball that would be back on the ground within the step does not leave it.
     """
+    up = -material.restitution * wp.dot(v, normal(plane))
+    return wp.where(up < _HALF * step.gravity * step.dt / plane.length, _ZERO, up)
+
+
+@wp.func
+def strike(plane: Plane, v: wp.vec3d, material: Material, step: Step) -> wp.vec3d:
+    """Velocity after an impact: restitution along the normal, Coulomb's friction across it."""
     n = normal(plane)
     down = wp.dot(v, n)
-    up = -material.restitution * down
-    if up < _HALF * step.gravity * step.dt / plane.length:
-        up = _ZERO
+    up = rebound(plane, v, material, step)
     along = v - n * down
     speed = wp.length(along)
     if speed > _ZERO:

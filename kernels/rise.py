@@ -76,10 +76,13 @@ def meets(rise: Rise, plane: Plane, v: wp.vec3d, step: Step) -> bool:
 
 
 @wp.func
-def boarded(body: Body, rise: Rise, plane: Plane, material: Material, step: Step) -> Body:
+def boarded(
+    body: Body, rise: Rise, plane: Plane, material: Material, rubs: wp.float64, step: Step
+) -> Body:
     """A ball as the ground sees it that moved under it.
 
-    One that lay on it is at once as fast as the ground along the normal, without a bounce.
+    One that lay on it is at once as fast as the ground along the normal, without a bounce. The part
+    ``rubs`` of its friction acts then: 1, or 0 where friction does not go by the velocity alone.
     """
     out = body
     out.v[2] = body.v[2] - rise.rise / step.dt
@@ -90,6 +93,7 @@ def boarded(body: Body, rise: Rise, plane: Plane, material: Material, step: Step
     if closing(plane, out.v) < _ZERO:
         limp = material
         limp.restitution = _ZERO
+        limp.friction = rubs * material.friction
         out.v = strike(plane, out.v, limp, step)
     return out
 
@@ -124,6 +128,7 @@ def board(
     table: wp.array(dtype=int),
     lattice: Lattice,
     step: Step,
+    rubs: wp.float64,
     # In:
     material: wp.array(dtype=Material),
     rise: wp.array(dtype=Rise),
@@ -144,7 +149,7 @@ def board(
     body = loaded(cell[i], offset[i], z[i], velocity[i], step.dt)
     plane = plane_of(pool, table, lattice, body)
     if meets(rise[i], plane, body.v, step):
-        body = boarded(body, rise[i], plane, material[i], step)
+        body = boarded(body, rise[i], plane, material[i], rubs, step)
         z[i] = body.z
         velocity[i] = body.v
         rate[i] = rise[i].rise / step.dt

@@ -42,6 +42,7 @@ def board_on_detail(
     table: wp.array(dtype=int),
     lattice: Lattice,
     step: Step,
+    rubs: wp.float64,
     # In:
     material: wp.array(dtype=Material),
     rise: wp.array(dtype=Rise),
@@ -64,7 +65,7 @@ def board_on_detail(
         body = divided(body, ground, lattice.factor)
     plane = plane_under(pool, table, lattice, body, ground)
     if meets(rise[i], plane, body.v, step):
-        body = boarded(body, rise[i], plane, material[i], step)
+        body = boarded(body, rise[i], plane, material[i], rubs, step)
         z[i] = body.z
         velocity[i] = body.v
         rate[i] = rise[i].rise / step.dt

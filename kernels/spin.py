@@ -14,9 +14,12 @@ In a groove the two contact points are one wheel whose arm is shorter than the r
 
 import warp as wp
 
+SOLID = 0.4
+"""Moment of inertia of a solid sphere over its mass and the square of its radius."""
+
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
-_SOLID = wp.constant(wp.float64(0.4))
+_SOLID = wp.constant(wp.float64(SOLID))
 _NEVER = wp.constant(wp.float64(1e300))
 _STILL = wp.constant(wp.float64(1e-12))
 
@@ -131,6 +134,18 @@ def turning(wheel: Wheel, push: wp.vec3d) -> wp.vec3d:
 def rolling_spin(v: wp.vec3d, w: wp.vec3d, wheel: Wheel) -> wp.vec3d:
     """The spin that rolls at a velocity, with what there is about the normal."""
     return wheel.n * wp.dot(w, wheel.n) + wp.cross(wheel.n, v) / wheel.arm
+
+
+@wp.func
+def energy_of_spin(w: wp.vec3d, radius: wp.float64) -> wp.float64:
+    """Twice the energy of a spin, for a kilogram: what it adds to the square of a speed."""
+    return _SOLID * radius * radius * wp.dot(w, w)
+
+
+@wp.func
+def speed_with_spin(v: wp.vec3d, w: wp.vec3d, radius: wp.float64) -> wp.float64:
+    """The speed if all of the spin became speed [m/s]."""
+    return wp.sqrt(wp.dot(v, v) + energy_of_spin(w, radius))
 
 
 @wp.func

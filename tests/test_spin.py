@@ -266,6 +266,9 @@ def test_an_impact_never_gains_energy_nor_turns_a_slip() -> None:
                 v, w, friction=friction, rolling=rolling, restitution=restitution
             )
             before, now = energy(v, w), energy(after_v, after_w)
+            pushed = np.hypot(*(after_v - v)[:, :2].T)
+            load = -(1.0 + restitution) * v[:, 2]
+            assert (pushed <= friction * load * (1 + 1e-12) + 1e-14).all()
             assert (now <= before * (1 + 1e-14)).all()
             if restitution == 1.0 and friction == 0.0:
                 np.testing.assert_allclose(now, before, rtol=1e-14)

@@ -13,5 +13,8 @@ BALL_BYTES: int = sum(
 )
 """Bytes of the arrays of :class:`terrasim.balls.balls.Balls`, a ball."""
 
+SPIN_BYTES: int = sum(wp.types.type_size_in_bytes(dtype) for dtype in (wp.vec3d, wp.float64))
+"""Bytes of spin and rolling friction, a ball that has them."""
+
 RISE_BYTES: int = 6 * 8 + 8
 """Bytes of ``kernels.rise.Rise`` and of the ground's rate, a ball, in steps whose ground moves."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -28,7 +29,9 @@ from terrasim.errors import InputError
 from terrasim.grid import Indices
 from terrasim.kernels.balls import Tally, stand_balls, step_balls
 from terrasim.kernels.balls_detail import stand_balls_on_detail, step_balls_on_detail
+from terrasim.kernels.balls_spin import step_spinning_balls, step_spinning_balls_on_detail
 from terrasim.kernels.body import Material, Step
+from terrasim.kernels.spin import SOLID
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
@@ -51,6 +54,10 @@ class Balls:
     """Radius [m], restitution and friction, ``kernels.body.Material``."""
     tally: Any
     """What happened to each ball since it was made, ``kernels.balls.Tally``."""
+    spin: Any = None
+    """Spin [rad/s], vec3d; None if the balls have none, and it takes no memory."""
+    rolling: Any = None
+    """Coefficient of rolling friction, float64; None without spin."""
     reach: Reach | None = None
     """Ground required for the coming steps. Make it None after changing cells or velocities."""
     moved: Moved | None = None
@@ -71,6 +78,8 @@ class Balls:
         radius: npt.ArrayLike,
         restitution: npt.ArrayLike = 0.5,
         friction: npt.ArrayLike = 0.5,
+        spin: npt.ArrayLike | None = None,
+        rolling: npt.ArrayLike | None = None,
         anchor: Anchor = (0, 0),
         above_ground: bool = False,
     ) -> Self:
@@ -84,6 +93,10 @@ class Balls:
             radius: Radius [m], above 0, one or ``count``; restitution and friction likewise.
             restitution: Normal speed after an impact over that before, 0 to 1.
             friction: Coulomb's coefficient, at least 0.
+            spin: Spin [rad/s], shape ``(count, 3)`` or what broadcasts to it; None for balls
+                without.
+            rolling: Coefficient of rolling friction, at least 0, one or ``count``: a ball stays on
+                slopes whose tangent is at most that. Only with spin.
             anchor: Level-0 post (row, column) that x and y start from; it need not lie on the
                 terrain. With an anchor nearby, places are as precise far away as at the origin.
             above_ground: Whether z counts from where a ball touches the ground below.
@@ -115,6 +128,7 @@ class Balls:
             wp.array(material, dtype=Material, device=device),
             wp.zeros(count, dtype=Tally, device=device),
         )
+        _spin(balls, spin, rolling)
         if above_ground:
             _stand(terrain, balls)
         return balls
@@ -130,8 +144,10 @@ class Balls:
         """A copy of all balls, or of those with the given numbers."""
         chosen = np.arange(self.count) if which is None else which
         arrays: dict[str, Any] = {}
-        for name in ("cell", "offset", "z", "velocity", "material", "tally"):
+        for name in ("cell", "offset", "z", "velocity", "material", "tally", "spin", "rolling"):
             array = getattr(self, name)
+            if array is None:
+                continue
             arrays[name] = wp.array(array.numpy()[chosen], dtype=array.dtype, device=array.device)
         return replace(self, reach=None, moved=None, **arrays)
 
@@ -158,11 +174,24 @@ def totals(balls: Balls) -> Totals:
     return Totals(**sums, error=int(tally["error"].max(initial=0)))
 
 
+def fastest(balls: Balls) -> float:
+    """A bound of the balls' speeds if nothing but friction and gravity acts [m/s].
+
+    Friction may turn all of a ball's spin into speed.
+    """
+    square = np.square(balls.velocity.numpy()).sum(axis=1)
+    if balls.spin is not None:
+        arm = balls.material.numpy()["radius"][:, None] * balls.spin.numpy()
+        square += SOLID * np.square(arm).sum(axis=1)
+    return math.sqrt(square.max(initial=0.0))
+
+
 def reach(terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81) -> Boxes:
     """Ground the balls may touch in the next step, for ``cache.require``; ask once a step."""
     last = balls.reach if balls.moved is None else None
     extra = 0.0 if balls.moved is None or dt == 0.0 else balls.moved.most / dt
-    balls.reach = next_reach(terrain.grid, balls.cell, balls.velocity, dt, gravity, last, extra)
+    speed = partial(fastest, balls)
+    balls.reach = next_reach(terrain.grid, balls.cell, speed, dt, gravity, last, extra)
     return balls.reach.boxes
 
 
@@ -198,22 +227,48 @@ def step(
     now: Any = Step()
     now.dt, now.gravity = dt, gravity
     rates = board(terrain, balls, now)
-    launch(
-        step_balls_on_detail if terrain.lattice.factor > 1 else step_balls,
-        balls.count,
-        shared=[terrain.pool, terrain.required, terrain.error, terrain.lattice, now, terrain.used],
-        items=[
+    detail = terrain.lattice.factor > 1
+    shared = [terrain.pool, terrain.required, terrain.error, terrain.lattice, now, terrain.used]
+    kernel, items = (
+        step_balls_on_detail if detail else step_balls,
+        [balls.material, balls.cell, balls.offset, balls.z, balls.velocity, balls.tally],
+    )
+    if balls.spin is not None:
+        kernel = step_spinning_balls_on_detail if detail else step_spinning_balls
+        items = [
             balls.material,
+            balls.rolling,
             balls.cell,
             balls.offset,
             balls.z,
             balls.velocity,
+            balls.spin,
             balls.tally,
-        ],
+        ]
+    launch(
+        kernel,
+        balls.count,
+        shared=shared,
+        items=items,
         device=terrain.device,
         threads=terrain.threads,
     )
     leave(terrain, balls, rates)
+
+
+def _spin(balls: Balls, spin: npt.ArrayLike | None, rolling: npt.ArrayLike | None) -> None:
+    """Give balls a spin and rolling friction, if they are to have them."""
+    if spin is None:
+        if rolling is not None:
+            raise InputError(
+                "rolling friction acts on balls with spin, and these have none; give spin=0.0"
+            )
+        return
+    device = balls.cell.device
+    table = _numbers(spin, "spin", (balls.count, 3))
+    resists = _within(0.0 if rolling is None else rolling, "rolling", balls.count, 0.0, math.inf)
+    balls.spin = wp.array(table, dtype=wp.vec3d, device=device)
+    balls.rolling = wp.array(resists, dtype=wp.float64, device=device)
 
 
 def _stand(terrain: Terrain, balls: Balls) -> None:

@@ -91,11 +91,13 @@ def board(terrain: Terrain, balls: Balls, step: Any) -> Any:
         from terrasim.kernels.rise_detail import board_on_detail as kernel
     else:
         from terrasim.kernels.rise import board as kernel
+    # Friction of spinning balls goes by their slip; here, before the step itself, it is left out.
+    rubs = 1.0 if balls.spin is None else 0.0
     rates = wp.empty(balls.count, dtype=wp.float64, device=terrain.device)
     launch(
         kernel,
         balls.count,
-        shared=[terrain.pool, terrain.required, terrain.lattice, step],
+        shared=[terrain.pool, terrain.required, terrain.lattice, step, rubs],
         items=[
             balls.material,
             moved.rises,

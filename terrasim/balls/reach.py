@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,7 +33,7 @@ class Reach:
 def next_reach(
     grid: Grid,
     cell: Any,
-    velocity: Any,
+    fastest: Callable[[], float],
     dt: float,
     gravity: float,
     last: Reach | None,
@@ -47,7 +48,7 @@ def next_reach(
     Args:
         grid: The terrain's grid.
         cell: Level-0 cells (row, col), vec2i Warp array, shape ``(count,)``.
-        velocity: Velocities [m/s], vec3d Warp array.
+        fastest: The fastest ball's speed, or a bound of it [m/s]; reads the arrays.
         dt: Length of the step [s].
         gravity: Downward acceleration [m/s^2].
         last: What this gave for the step before; None to begin or when a ball was put elsewhere.
@@ -57,9 +58,8 @@ def next_reach(
         way = (last.speed + gravity * dt) * dt
         if way <= last.room:
             return replace(last, room=last.room - way, speed=last.speed + gravity * dt)
-    speed = math.sqrt(np.square(velocity.numpy()).sum(axis=1).max(initial=0.0))
     # Off the ground in the ground's own frame, and back in the datum's.
-    speed += 2.0 * ground_speed
+    speed = fastest() + 2.0 * ground_speed
     way = (speed + gravity * dt) * dt
     room = max(way, SLACK_CELLS * grid.spacing)
     boxes = _blocks_around(grid, cell.numpy().astype(np.int64), room)
