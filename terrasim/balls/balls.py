@@ -21,8 +21,10 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from terrasim.balls.moving import Moved, board, leave
+from terrasim.balls.moved import Moved
+from terrasim.balls.moving import board, leave
 from terrasim.balls.reach import Reach, next_reach
+from terrasim.balls.sleep import Awake, after_step, settle, stepped
 from terrasim.cache.needs import Boxes
 from terrasim.deform.anchored import Anchor, cells
 from terrasim.errors import InputError
@@ -62,6 +64,9 @@ class Balls:
     """Ground required for the coming steps. Make it None after changing cells or velocities."""
     moved: Moved | None = None
     """How far the ground moved under them since the last step, where it did; see ``moving``."""
+    awake: Awake | None = None
+    """Which of them are stepped, and in what order; None for all as they are. Then arrays are only
+    as they should be after :func:`terrasim.balls.sleep.settle`."""
 
     @property
     def count(self) -> int:
@@ -135,6 +140,7 @@ class Balls:
 
     def positions(self, terrain: Terrain, anchor: Anchor = (0, 0)) -> Table:
         """Centres, shape ``(count, 3)``: x and y [m] from the anchor post, world z [m]."""
+        settle(self)
         grid = terrain.grid
         steps = self.cell.numpy().astype(np.int64)[:, ::-1] - np.array(anchor[::-1])
         place = steps * grid.spacing + self.offset.numpy()
@@ -142,6 +148,7 @@ class Balls:
 
     def copy(self, which: Indices | None = None) -> Self:
         """A copy of all balls, or of those with the given numbers."""
+        settle(self)
         chosen = np.arange(self.count) if which is None else which
         arrays: dict[str, Any] = {}
         for name in ("cell", "offset", "z", "velocity", "material", "tally", "spin", "rolling"):
@@ -149,7 +156,7 @@ class Balls:
             if array is None:
                 continue
             arrays[name] = wp.array(array.numpy()[chosen], dtype=array.dtype, device=array.device)
-        return replace(self, reach=None, moved=None, **arrays)
+        return replace(self, reach=None, moved=None, awake=None, **arrays)
 
 
 @dataclass(frozen=True)
@@ -168,6 +175,7 @@ class Totals:
 
 def totals(balls: Balls) -> Totals:
     """Sums of the balls' tallies; the largest of their errors."""
+    settle(balls)
     tally = balls.tally.numpy()
     names = ("impacts", "projected", "held", "off", "hole", "coarse")
     sums = {name: int(tally[name].sum(dtype=np.int64)) for name in names}
@@ -188,11 +196,12 @@ def fastest(balls: Balls) -> float:
 
 def reach(terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81) -> Boxes:
     """Ground the balls may touch in the next step, for ``cache.require``; ask once a step."""
-    last = balls.reach if balls.moved is None else None
-    extra = 0.0 if balls.moved is None or dt == 0.0 else balls.moved.most / dt
-    speed = partial(fastest, balls)
-    balls.reach = next_reach(terrain.grid, balls.cell, speed, dt, gravity, last, extra)
-    return balls.reach.boxes
+    one = stepped(terrain, balls)
+    last = one.reach if one.moved is None else None
+    extra = 0.0 if one.moved is None or dt == 0.0 else one.moved.most / dt
+    speed = partial(fastest, one)
+    one.reach = next_reach(terrain.grid, one.cell, speed, dt, gravity, last, extra)
+    return one.reach.boxes
 
 
 def step(
@@ -226,7 +235,15 @@ def step(
         terrain.cache.require([reach(terrain, balls, dt, gravity=gravity)])
     now: Any = Step()
     now.dt, now.gravity = dt, gravity
-    rates = board(terrain, balls, now)
+    one = stepped(terrain, balls)
+    rates = board(terrain, one, now)
+    _advance(terrain, one, now)
+    leave(terrain, one, rates)
+    after_step(terrain, balls)
+
+
+def _advance(terrain: Terrain, balls: Balls, now: Any) -> None:
+    """Launch a step of balls."""
     detail = terrain.lattice.factor > 1
     shared = [terrain.pool, terrain.required, terrain.error, terrain.lattice, now, terrain.used]
     kernel, items = (
@@ -253,7 +270,6 @@ def step(
         device=terrain.device,
         threads=terrain.threads,
     )
-    leave(terrain, balls, rates)
 
 
 def _spin(balls: Balls, spin: npt.ArrayLike | None, rolling: npt.ArrayLike | None) -> None:

@@ -9,27 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from terrasim.balls.moved import Moved
+from terrasim.balls.reach import next_reach
+from terrasim.balls.sleep import settle, wake
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
 if TYPE_CHECKING:
     from terrasim.balls.balls import Balls
-
-
-@dataclass
-class Moved:
-    """How far the ground went up under balls since their last step."""
-
-    rises: Any
-    """``kernels.rise.Rise``, one a ball."""
-    most: float = 0.0
-    """No ball's ground went further up or down [m]."""
 
 
 @contextmanager
@@ -58,10 +50,11 @@ def moving(terrain: Terrain, balls: Balls) -> Iterator[None]:
         return
     from terrasim.kernels.rise import AFTER, AGAIN, FIRST, Rise
 
-    if balls.reach is None:
-        from terrasim.balls.balls import reach
-
-        terrain.cache.require([reach(terrain, balls, 0.0, gravity=0.0)])
+    settle(balls)
+    if balls.reach is None or balls.awake is not None:
+        # Those that sleep have had no ground required for them.
+        around = next_reach(terrain.grid, balls.cell, _nothing, 0.0, 0.0, None)
+        terrain.cache.require([around.boxes])
     when = AGAIN
     if balls.moved is None:
         balls.moved = Moved(wp.zeros(balls.count, dtype=Rise, device=terrain.device))
@@ -71,6 +64,7 @@ def moving(terrain: Terrain, balls: Balls) -> Iterator[None]:
     _look(terrain, balls, balls.moved, AFTER)
     rises = balls.moved.rises.numpy()
     balls.moved.most = float(np.abs(rises["rise"]).max())
+    wake(balls, (rises["rise"] != 0.0) | (rises["lift"] != 0.0))
 
 
 def board(terrain: Terrain, balls: Balls, step: Any) -> Any:
@@ -143,3 +137,8 @@ def _look(terrain: Terrain, balls: Balls, moved: Moved, when: int) -> None:
         device=terrain.device,
         threads=terrain.threads,
     )
+
+
+def _nothing() -> float:
+    """How fast balls are while the ground is changed."""
+    return 0.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from terrasim.cache.loader import Loader
 from terrasim.cache.needs import Need, region_blocks
 from terrasim.cache.queue import Queue
 from terrasim.cache.residency import Bounds, Residency
+from terrasim.cache.watch import Watch
 from terrasim.counts import Counts
 from terrasim.detail.grid import DETAIL_LEVEL
 from terrasim.errors import RunError
@@ -56,6 +58,8 @@ class Cache:
         """
         self.before_reading: Callable[[], object] = _nothing
         """Called before the ground is read: what waits to change it is done then."""
+        self.watches: WeakSet[Watch] = WeakSet()
+        """Those who want to know where the ground changes."""
         self._waits = waits
         self._late: list[Block] = []
         self.grid = grid
@@ -271,6 +275,8 @@ class Cache:
             error: Error bound [counts]; 0 of a detail block.
         """
         self._held.edited(key, lowest, highest, error)
+        for one in self.watches:
+            one.blocks.add(key)
 
     def describe(self, key: Block) -> Bounds:
         """Lowest and highest count and error bound of a resident block.
@@ -329,6 +335,8 @@ class Cache:
         """Forget every resident block, edits too, and bring in the coarsest level anew."""
         self._loader.forget()
         self._held.clear()
+        for one in self.watches:
+            one.everything = True
         self._requirement.clear()
         self._late.clear()
         self._queue.want([])
