@@ -18,12 +18,13 @@ class Seen:
 @wp.kernel(enable_backward=False)
 def doze(
     still: wp.float64,
+    # In and out, of all balls:
+    seen: wp.array(dtype=Seen),
     # In:
+    number: wp.array(dtype=int),
     z: wp.array(dtype=wp.float64),
     velocity: wp.array(dtype=wp.vec3d),
     tally: wp.array(dtype=Tally),
-    # In and out:
-    seen: wp.array(dtype=Seen),
     # Out:
     rests: wp.array(dtype=wp.uint8),
 ):
@@ -35,7 +36,7 @@ def doze(
     now = Seen()
     now.z = z[i]
     now.odd = tally[i].off + tally[i].hole + tally[i].coarse
-    last = seen[i]
+    last = seen[number[i]]
     slow = wp.length(velocity[i]) <= still and wp.abs(now.z - last.z) <= still
     rests[i] = wp.uint8(wp.where(slow and now.odd == last.odd, 1, 0))
-    seen[i] = now
+    seen[number[i]] = now

@@ -93,7 +93,6 @@ def boarded(
     if closing(plane, out.v) < _ZERO:
         limp = material
         limp.restitution = _ZERO
-        limp.friction = wp.where(spins == 1, _ZERO, material.friction)
         limp.friction = rubs * material.friction
         out.v = strike(plane, out.v, limp, step)
     return out

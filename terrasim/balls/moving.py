@@ -16,7 +16,7 @@ import warp as wp
 
 from terrasim.balls.moved import Moved
 from terrasim.balls.reach import next_reach
-from terrasim.balls.sleep import settle, wake
+from terrasim.balls.sleep import rejoin, wake
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
@@ -50,7 +50,7 @@ def moving(terrain: Terrain, balls: Balls) -> Iterator[None]:
         return
     from terrasim.kernels.rise import AFTER, AGAIN, FIRST, Rise
 
-    settle(balls)
+    rejoin(balls)
     if balls.reach is None or balls.awake is not None:
         # Those that sleep have had no ground required for them.
         around = next_reach(terrain.grid, balls.cell, _nothing, 0.0, 0.0, None)

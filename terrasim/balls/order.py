@@ -51,6 +51,8 @@ def in_order(terrain: Terrain, balls: Balls, chosen: npt.NDArray[np.int32] | Non
     if chosen is None:
         chosen = np.arange(balls.count, dtype=np.int32)
     count, device = len(chosen), terrain.device
+    if count < 2:
+        return wp.array(chosen, dtype=wp.int32, device=device)
     # The sort works in the second half of both.
     number = wp.empty(2 * count, dtype=wp.int32, device=device)
     number[:count].assign(chosen)
@@ -63,8 +65,7 @@ def in_order(terrain: Terrain, balls: Balls, chosen: npt.NDArray[np.int32] | Non
         device=device,
         threads=terrain.threads,
     )
-    if count > 1:
-        wp.utils.radix_sort_pairs(key, number, count)
+    wp.utils.radix_sort_pairs(key, number, count)
     return number[:count]
 
 

@@ -54,8 +54,10 @@ class Awake:
     """Those that are awake, where they are not all as they are."""
     steps: int = 0
     """Steps that were made."""
+    settled: bool = True
+    """Whether the balls' own arrays say what became of that part."""
     seen: Any = None
-    """Each awake ball at the last look, ``kernels.ball_sleep.Seen``; None before the first."""
+    """Each ball at the last look at it, ``kernels.ball_sleep.Seen``; None before the first."""
     watch: Watch = field(default_factory=Watch)
     """Where the ground changed since the last step."""
 
@@ -96,27 +98,37 @@ def after_step(terrain: Terrain, balls: Balls) -> None:
     if awake is None:
         return
     balls.moved = None
+    awake.settled = awake.part is None
     awake.steps += 1
     if awake.sleeps and awake.steps % LOOK_EVERY == 0:
         _put_to_sleep(terrain, balls, awake)
     if awake.sort_every and awake.steps % awake.sort_every == 0:
-        settle(balls)
+        rejoin(balls)
 
 
 def settle(balls: Balls) -> None:
-    """Make the arrays of balls what they should be, whoever is stepped apart from them.
+    """Make the arrays of balls what they should be, where some are stepped apart from them.
 
-    Whoever reads or changes the arrays of balls with ``awake`` calls this first.
+    Whoever reads the arrays of balls with ``awake`` calls this first.
     """
     awake = balls.awake
-    if awake is None or awake.part is None:
+    if awake is None or awake.part is None or awake.settled:
         return
     from terrasim.balls.order import put_back
 
     put_back(awake.part, balls)
-    awake.part = None
-    awake.seen = None
-    balls.reach = None
+    awake.settled = True
+
+
+def rejoin(balls: Balls) -> None:
+    """Settle, and step none apart until the next step.
+
+    Whoever changes the arrays of balls with ``awake`` calls this first, and wakes those it changed.
+    """
+    settle(balls)
+    if balls.awake is not None and balls.awake.part is not None:
+        balls.awake.part = None
+        balls.reach = None
 
 
 def wake(balls: Balls, which: Any = slice(None)) -> None:
@@ -124,7 +136,7 @@ def wake(balls: Balls, which: Any = slice(None)) -> None:
     awake = balls.awake
     if awake is None or awake.asleep is None or not awake.asleep[which].any():
         return
-    settle(balls)
+    rejoin(balls)
     awake.asleep[which] = False
 
 
@@ -158,13 +170,22 @@ def _put_to_sleep(terrain: Terrain, balls: Balls, awake: Awake) -> None:
         return
     first = awake.seen is None
     if first:
-        awake.seen = wp.zeros(now.count, dtype=Seen, device=terrain.device)
+        awake.seen = wp.zeros(balls.count, dtype=Seen, device=terrain.device)
+    number = np.arange(balls.count, dtype=np.int32)
+    if awake.part is not None:
+        number = awake.part.number.numpy()
     rests = wp.empty(now.count, dtype=wp.uint8, device=terrain.device)
     launch(
         doze,
         now.count,
-        shared=[awake.still],
-        items=[now.z, now.velocity, now.tally, awake.seen, rests],
+        shared=[awake.still, awake.seen],
+        items=[
+            wp.array(number, dtype=wp.int32, device=terrain.device),
+            now.z,
+            now.velocity,
+            now.tally,
+            rests,
+        ],
         device=terrain.device,
         threads=terrain.threads,
     )
@@ -173,12 +194,10 @@ def _put_to_sleep(terrain: Terrain, balls: Balls, awake: Awake) -> None:
         found &= (np.abs(now.spin.numpy()) <= awake.still).all(axis=1)
     if first or np.count_nonzero(found) * WORTH < now.count:
         return
-    number = np.arange(balls.count) if awake.part is None else awake.part.number.numpy()
     if awake.asleep is None:
         awake.asleep = np.zeros(balls.count, dtype=np.bool_)
     awake.asleep[number[found]] = True
-    settle(balls)
-    awake.seen = None
+    rejoin(balls)
 
 
 def _wake_where_changed(terrain: Terrain, balls: Balls, awake: Awake) -> None:

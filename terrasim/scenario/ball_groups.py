@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from terrasim.balls.balls import Balls, reach, step, totals
 from terrasim.balls.moving import moving
+from terrasim.balls.sleep import settle
 from terrasim.cache.needs import Boxes
 from terrasim.counts import COUNT_M
 from terrasim.scenario.actors import draw_sizes
@@ -103,11 +104,13 @@ class MovingBalls:
     def state(self) -> list[Any]:
         """All that makes a ball what it is, for a hash."""
         balls = self._balls
+        settle(balls)
         return [array.numpy() for array in (balls.cell, balls.offset, balls.z, balls.velocity)]
 
     def summary(self) -> dict[str, Any]:
         """What happened to them, ready for JSON."""
         balls = self._balls
+        settle(balls)
         speed = np.linalg.norm(balls.velocity.numpy(), axis=1)
         counted = asdict(totals(balls))
         error = counted.pop("error")
