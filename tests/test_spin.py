@@ -290,6 +290,22 @@ def test_many_small_impacts_are_the_motion_of_what_lies() -> None:
         np.testing.assert_allclose(w, turned, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("friction", "t", "s"), [(0.2, 0.2912, 0.4993), (0.4, 0.1456, 0.2496)])
+def test_many_small_impacts_slide_then_roll(friction: float, t: float, s: float) -> None:
+    """As where each step ends on the ground: first order in when and where, exact in how fast."""
+    dt = 1e-4
+    v, w = np.array([[2.0, 0.0, 0.0]]), np.zeros((1, 3))
+    way, begins = 0.0, 0.0
+    for k in range(4000):
+        v, w, slip = hit(v - [[0.0, 0.0, G * dt]], w, friction=friction, restitution=0.0)
+        way += v[0, 0] * dt
+        if not begins and np.abs(slip).max() < 1e-12:
+            begins = (k + 1) * dt
+    assert begins == pytest.approx(t, rel=1e-2)
+    assert v[0, 0] == pytest.approx(10.0 / 7.0, rel=1e-12)
+    assert way == pytest.approx(s + 10.0 / 7.0 * (0.4 - t), rel=1e-3)
+
+
 def test_in_a_groove_a_ball_rolls_on_a_shorter_arm() -> None:
     """Walls of 60 degrees to each other: the arm is half the radius, the spin takes more."""
     half = math.radians(30.0)
