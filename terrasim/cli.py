@@ -64,6 +64,37 @@ def plan(file: File, device: str | None = None, as_json: Json = False) -> None:
 
 
 @app.command()
+def study(
+    file: Annotated[
+        Path, typer.Argument(help="Scenario file, or a folder of them.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the study; by default out/NAME-study.")
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Vary a scenario as its [study] says: errors against run time.
+
+    Of a folder: run every scenario in it, and tell whether what its [expect] says held. What is
+    finished is kept: a study that was ended goes on where it was.
+    """
+    from terrasim.progress import progress_bar
+    from terrasim.study.print_study import print_expectations, print_study
+
+    with progress_bar() as progress:
+        if file.is_dir():
+            from terrasim.study.expectations import study_folder
+
+            record, show = study_folder(file, out=out, progress=progress), print_expectations
+        else:
+            from terrasim.study.study import study_file
+
+            record, show = study_file(file, out=out, progress=progress), print_study
+    show_result(record, as_json, show)
+    return 0 if record["held"] else 1
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON Schema of scenario files."""
     from terrasim.scenario.scenario import scenario_schema

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 from terrasim.cache.counters import Counters
@@ -18,6 +15,7 @@ from terrasim.output.report_ground import (
     relaxation_html,
     store_html,
 )
+from terrasim.output.report_page import Fact, figure, notice, page
 from terrasim.output.report_table import (
     bar_rows,
     bytes_text,
@@ -58,24 +56,18 @@ def report_html(record: Record, pictures: Sequence[tuple[str, bytes]]) -> str:
         record: The run's record.
         pictures: Names and contents of PNG files.
     """
-    template = Template((files("terrasim.output") / "report.html").read_text(encoding="utf-8"))
-    sections = "\n".join(
-        f'<section id="{name}"><h2>{escape(title)}</h2>\n{content}\n</section>'
-        for name, title, make in _SECTIONS
-        if (content := make(record))
-    )
-    return template.substitute(
-        title=escape(record["name"]),
-        description=escape(record["description"]),
+    return page(
+        record["name"],
+        record["description"],
         facts=_facts(record),
-        synthetic=_synthetic(record) + _not_repeatable(record),
-        pictures="\n".join(_picture(name, content, record) for name, content in pictures),
-        sections=sections,
-        version=escape(str(record["terrasim"])),
+        notices=_synthetic(record) + _not_repeatable(record),
+        pictures=[_picture(name, content, record) for name, content in pictures],
+        sections=[(name, title, make(record)) for name, title, make in _SECTIONS],
+        version=str(record["terrasim"]),
     )
 
 
-def _facts(record: Record) -> str:
+def _facts(record: Record) -> list[Fact]:
     """The figures that come first."""
     grid = record["plan"]["grid"]
     facts = [
@@ -95,33 +87,30 @@ def _facts(record: Record) -> str:
     if worst:
         largest = max(worst, key=lambda one: one["metres"])
         facts.append(("largest error", metres_text(largest["metres"]), largest["name"]))
-    return "\n".join(
-        f'<div class="fact"><span class="label">{escape(label)}</span>'
-        f'<span class="value">{escape(value)}</span><span class="sub">{escape(below)}</span></div>'
-        for label, value, below in facts
-    )
+    return facts
 
 
 def _synthetic(record: Record) -> str:
     if not record["synthetic"]:
         return ""
-    return (
-        '<p class="notice"><strong>Synthetic heights.</strong> Part of this ground is invented: '
-        f"{escape(record['synthetic'])}. It is not measured and must not be used as if it were.</p>"
+    return notice(
+        "Synthetic heights.",
+        f"Part of this ground is invented: {record['synthetic']}. It is not measured and must not "
+        "be used as if it were.",
     )
 
 
 def _not_repeatable(record: Record) -> str:
     if record["repeatable"]:
         return ""
-    return (
-        '<p class="notice"><strong>Not repeatable.</strong> This run did not wait for ground that '
-        f"came late ({record['counters']['late']:,} times): another run may differ.</p>"
+    return notice(
+        "Not repeatable.",
+        "This run did not wait for ground that came late "
+        f"({record['counters']['late']:,} times): another run may differ.",
     )
 
 
 def _picture(name: str, content: bytes, record: Record) -> str:
-    data = base64.b64encode(content).decode("ascii")
     caption = (
         "Light from the north-west. The red frame marks the next picture to the right."
         if record["simulated_s"] or record["ledger"]["posts"]
@@ -129,10 +118,7 @@ def _picture(name: str, content: bytes, record: Record) -> str:
     )
     if record["synthetic"]:
         caption += f" Heights are partly synthetic: {record['synthetic']}."
-    return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(name)}: hillshade of the '
-        f'terrain"><figcaption>{escape(caption)}</figcaption></figure>'
-    )
+    return figure(content, f"{name}: hillshade of the terrain", caption)
 
 
 def _errors(record: Record) -> str:

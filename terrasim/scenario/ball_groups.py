@@ -85,6 +85,11 @@ class MovingBalls:
             above_ground=True,
         )
 
+    @property
+    def balls(self) -> Balls:
+        """Their state."""
+        return self._balls
+
     def needs(self, terrain: Terrain, dt_s: float) -> list[Boxes]:
         """Ground that they may touch within a step."""
         return [reach(terrain, self._balls, dt_s, gravity=self._gravity)]

@@ -123,6 +123,10 @@ class Scenario(Settings):
     """How long and how finely."""
     output: Output = Output()
     """What the run leaves beside its record and its report."""
+    study: Annotated[dict[str, Any] | None, Field(exclude=True)] = None
+    """What `terrasim study` varies and measures. A run does not look at it."""
+    expect: Annotated[dict[str, Any] | None, Field(exclude=True)] = None
+    """What must come of it, for `terrasim study` of a folder. A run does not look at it."""
 
     @model_validator(mode="after")
     def _ends_after_its_stamps(self) -> Self:
@@ -209,8 +213,13 @@ def parse_scenario(table: dict[str, Any], name: str = "scenario") -> Scenario:
 
 
 def scenario_schema() -> dict[str, Any]:
-    """JSON Schema of scenario files."""
+    """JSON Schema of scenario files, with the tables that only a study reads."""
+    from terrasim.study.settings import tables_schema
+
     schema = Scenario.model_json_schema()
+    tables = tables_schema()
+    schema["properties"] |= tables["properties"]
+    schema["$defs"] |= tables["$defs"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

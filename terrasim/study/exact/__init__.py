@@ -1,0 +1,1 @@
+"""Motions that are known in closed form, shared by studies and tests."""
