@@ -14,6 +14,7 @@ import warp as wp
 from terrasim.balls.balls import Balls, step
 from terrasim.balls.neighbours import SLACK, near_pairs
 from terrasim.balls.pairs import Meetings, collide
+from terrasim.balls.sleep import Awake
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.sources.analytic import Flat
@@ -46,7 +47,8 @@ def masses(balls: Balls) -> Table:
 def weigh(balls: Balls, mass: npt.ArrayLike) -> None:
     """Give balls masses, as a scene may."""
     values = np.ascontiguousarray(mass, dtype=np.float64)
-    balls.mass = wp.array(values, dtype=wp.float64, device=balls.cell.device)
+    given: Any = balls
+    given.mass = wp.array(values, dtype=wp.float64, device=balls.cell.device)
 
 
 def motion(balls: Balls) -> Table:
@@ -298,19 +300,21 @@ def test_a_crowd_in_one_cell_is_counted_and_keeps_its_momentum() -> None:
 def test_a_bad_ball_harms_no_other() -> None:
     """NaN touches nothing; a ball without neighbours keeps every bit."""
     with flat() as terrain:
-        balls = Balls.at(terrain, [[9, 9, 5], [9, 9, 5.1], [9.3, 9, 5]], radius=0.125)
+        balls = Balls.at(terrain, [[9.0, 9.0, 5.0], [9.0, 9.0, 5.1], [9.3, 9.0, 5.0]], radius=0.125)
         velocity, z = balls.velocity.numpy(), balls.z.numpy()
         z[1], velocity[1] = np.nan, np.nan
         balls.z = wp.array(z, dtype=wp.float64, device=terrain.device)
         balls.velocity = wp.array(velocity, dtype=wp.vec3d, device=terrain.device)
         assert collide(terrain, balls, DT).touching == 0
-        assert balls.z.numpy()[[0.0, 2.0]].tolist() == [5.0, 5.0]
-        assert not balls.velocity.numpy()[[0.0, 2.0]].any()
+        assert balls.z.numpy()[[0, 2]].tolist() == [5.0, 5.0]
+        assert not balls.velocity.numpy()[[0, 2]].any()
 
 
 def test_balls_too_fast_to_be_sure_of_are_counted() -> None:
     with flat() as terrain:
-        balls = Balls.at(terrain, [[9, 9, 5], [12, 9, 5]], [[200, 0, 0], [50, 0, 0]], radius=0.125)
+        balls = Balls.at(
+            terrain, [[9, 9, 5], [12, 9, 5]], [[200.0, 0.0, 0.0], [50.0, 0.0, 0.0]], radius=0.125
+        )
         assert collide(terrain, balls, DT).fast == 1
         assert collide(terrain, balls.copy(np.arange(0)), DT) == Meetings()
 
@@ -318,12 +322,36 @@ def test_balls_too_fast_to_be_sure_of_are_counted() -> None:
 def test_ground_is_required_anew_once_balls_have_met() -> None:
     """A light ball that a heavy one strikes is faster than any was before."""
     with flat() as terrain:
-        balls = Balls.at(terrain, [[9, 9, 5], [9.25, 9, 5]], [[9, 0, 0], [0, 0, 0]], radius=0.125)
+        balls = Balls.at(
+            terrain, [[9.0, 9.0, 5.0], [9.25, 9.0, 5.0]], [[9.0, 0.0, 0.0], [0.0] * 3], radius=0.125
+        )
         weigh(balls, [1e6, 1.0])
         step(terrain, balls, 1e-9)
         assert balls.reach is not None
         collide(terrain, balls, DT, restitution=1.0)
         assert balls.reach is None
+
+
+def test_a_sleeping_ball_wakes_when_it_is_struck() -> None:
+    """And only that one: the other keeps its bits."""
+    with flat() as terrain:
+        place = [[9.0, 9.0, 0.0], [20.0, 9.0, 0.0], [11.0, 9.0, 0.0]]
+        speed = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-4.0, 0.0, 0.0]]
+        balls = Balls.at(terrain, place, speed, radius=0.125, friction=0.0, above_ground=True)
+        balls.awake = Awake()
+        slept = 0
+        for _ in range(100):
+            step(terrain, balls, 0.01)
+            slept = max(slept, balls.awake.sleeping)
+            collide(terrain, balls, 0.01, restitution=1.0)
+        assert slept == 2
+        assert balls.awake.asleep is not None
+        # What struck it stopped there.
+        assert balls.awake.asleep.tolist() == [False, True, True]
+        end = balls.positions(terrain)
+        assert end[1].tolist() == [20.0, 9.0, 0.125]
+        assert end[0, 0] == pytest.approx(7.0, abs=0.26)
+        assert balls.velocity.numpy()[:, 0] == pytest.approx([-4.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -349,7 +377,8 @@ def test_numbers_out_of_range_are_refused(options: dict[str, Any], said: str) ->
 def test_what_is_not_asked_for_is_not_imported() -> None:
     code = (
         "import sys, terrasim, terrasim.balls.balls, terrasim.cli\n"
-        "bad = [n for n in sys.modules if 'ball_pairs' in n or 'ball_grid' in n or 'neighbours' in n]\n"
+        "parts = ('pairs', 'neighbours', 'ball_grid', 'ball_near')\n"
+        "bad = [name for name in sys.modules if 'terrasim' in name and name.endswith(parts)]\n"
         "assert not bad, bad\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -8,6 +8,8 @@ Balls of a million find each other through a hash grid; see ``balls.neighbours``
 - Balls that overlap are pushed apart, the lighter one further, without a change of their speeds.
   That may lift a ball or push it into the ground, out of which the next step puts it.
 - Friction between balls slows their slip as if they did not turn.
+- A ball that sleeps is woken by one that strikes or pushes it, not by one that goes away. One that
+  lies on other balls does not sleep: each step lets it fall until its support is met again.
 - Of balls that meet at once, each gets a part of each impact: two that strike a third from both
   sides with restitution 1 come off slower than they came. One impact after another, as in a row of
   balls of which the first is struck, keeps all its energy.
@@ -29,6 +31,7 @@ import warp as wp
 
 from terrasim.balls.balls import Balls
 from terrasim.balls.neighbours import NEIGHBOURS, VISITS, Near, find_near, split
+from terrasim.balls.sleep import rejoin, settle, wake
 from terrasim.errors import InputError
 from terrasim.kernels.ball_pairs import (
     PairRule,
@@ -111,6 +114,7 @@ def collide(
             raise InputError(f"{name} must be at least {least}, got {value}")
     if balls.count == 0:
         return Meetings()
+    settle(balls)
     rule: Any = PairRule()
     rule.spacing, rule.restitution, rule.friction = terrain.grid.spacing, restitution, friction
     rule.still = _REST_STEPS * gravity * dt
@@ -118,11 +122,8 @@ def collide(
     fast = _count_fast(balls, dt)
     velocity, touching, struck = _bounce(terrain, rule, found, iterations)
     shift, pushed, deepest, left = _push(terrain, rule, found, iterations)
-    outputs = [balls.cell, balls.offset, balls.z, balls.velocity]
-    shared = [rule.spacing, found.sphere, velocity, shift, *outputs]
-    split(terrain, store_balls, shared, [found.at])
     if struck or pushed:
-        balls.reach = None
+        _store(terrain, balls, [found.sphere, velocity, shift], found.at)
     crowded = int(found.crowded.numpy().sum(dtype=np.int64))
     return Meetings(touching // 2, struck // 2, pushed // 2, deepest, left, crowded, fast)
 
@@ -161,6 +162,24 @@ def _push(
         now, then = then, now
         split(terrain, count_overlaps, [*pairs, now, overlaps, depth], [found.at])
     return now, pushed, deepest, float(depth.numpy().max())
+
+
+def _store(terrain: Terrain, balls: Balls, found: list[Any], at: Any) -> None:
+    """Put balls back and wake those that were struck or pushed."""
+    rejoin(balls)
+    changed = None
+    if balls.awake is not None:
+        sphere, velocity, shift = (array.numpy() for array in found)
+        number = sphere["number"]
+        changed = np.zeros(balls.count, dtype=np.bool_)
+        changed[number] = (velocity != balls.velocity.numpy()[number]).any(axis=1)
+        changed[number] |= shift.any(axis=1)
+    outputs = [balls.cell, balls.offset, balls.z, balls.velocity]
+    split(terrain, store_balls, [terrain.grid.spacing, *found, *outputs], [at])
+    # The fastest may be faster than any was, and others may be awake.
+    balls.reach = None
+    if changed is not None:
+        wake(balls, changed)
 
 
 def _none(counts: Any) -> bool:
