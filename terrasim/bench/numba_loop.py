@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 
-def _post_reader() -> tuple[Any, Any]:
+def post_reader() -> tuple[Any, Any]:
     """Compile the look-ups of a block's layer and of a post."""
     from numba import njit
 
@@ -38,7 +38,7 @@ def heights_loop() -> Any:
     """
     from numba import njit
 
-    layer_of, post = _post_reader()
+    layer_of, post = post_reader()
 
     @njit
     def loop(pool, table, place, points, height_out, state_out):  # type: ignore[no-untyped-def]
