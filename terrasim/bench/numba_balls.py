@@ -203,15 +203,15 @@ def balls_loop() -> Any:
                     rate = vz - (plane[3] * vx + plane[4] * vy)
                     until = first_zero(max(0.0, h - rest), rate, -gravity)
                 time, edge = leave(side, rail, x, y, vx, vy, ax, ay, spacing)
-                t = min(left, min(until, time))
+                t = min(left, until, time)
                 x = min(max(x + (vx * t + 0.5 * ax * t * t), 0.0), spacing)
                 y = min(max(y + (vy * t + 0.5 * ay * t * t), 0.0), spacing)
                 h += vz * t + 0.5 * az * t * t
                 vx, vy, vz = vx + ax * t, vy + ay * t, vz + az * t
                 left -= t
-                if lies and until <= t:
-                    if sticks or (vx * vx + vy * vy + vz * vz) < STILL * STILL:
-                        vx = vy = vz = 0.0
+                slow = vx * vx + vy * vy + vz * vz
+                if lies and until <= t and (sticks or slow < STILL * STILL):
+                    vx = vy = vz = 0.0
                 if time <= t:
                     # The triangle beyond the edge.
                     row2, col2, x2, y2 = row, col, x, y
