@@ -75,9 +75,9 @@ def above_touching(terrain: Terrain, balls: Balls) -> Table:
 def settle(terrain: Terrain, balls: Balls, most: float = np.inf, steps: int = 3000) -> float:
     """Let them come to rest on the surface; the fastest that any went up."""
     fastest = 0.0
-    for _ in range(steps):
+    for number in range(steps):
         step(terrain, balls, DT)
-        assert above_touching(terrain, balls).min() > -1e-6
+        assert number % 10 or above_touching(terrain, balls).min() > -1e-6
         velocity = balls.velocity.numpy()
         fastest = max(fastest, float(velocity[:, 2].max()))
         if not velocity.any():

@@ -37,6 +37,9 @@ def moving(terrain: Terrain, balls: Balls) -> Iterator[None]:
     thrown with the ground's speed, and no higher than ``u^2 / 2 g``. One that meets it in flight
     bounces relative to it. Ground that sinks slower than gravity takes a ball along.
 
+    Slumping has the speed that its iterations in a step give it: many of them in a short step throw
+    balls far. Let it slump outside of this where it is to be at once.
+
     The rate is that under a ball's centre at the step's start, for all its way in the step: the
     error is first order in ``dt`` where the rate differs from place to place. Holes and ground
     that a coarser level stands in for have none.

@@ -3,6 +3,11 @@
 Balls that lie near each other read the same posts. In the order of blocks, and within a block of
 Morton's curve, those posts are in the processor's cache. A ball is stepped alone, so its way is the
 same to the bit in any order, and it keeps its number.
+
+On one CPU thread, 2,048^2 posts, balls placed at random: sorting every 128 steps, what it costs
+included, a step of a million took 139 ns a ball instead of 303, of 100,000 balls 253 instead of
+311; 10,000 gained nothing. Sorting once costs about two steps. Where balls come sorted, and on
+scenes whose ground fits the cache, leave it out.
 """
 
 from __future__ import annotations
