@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +106,8 @@ def _judged(case: Case, runs: Path) -> dict[str, Any]:
         "held": not broken,
         "status": result.status,
         "happened": happened,
-        "found": result.found,
+        # JSON has no NaN: there it is null.
+        "found": _without_nan(result.found),
     }
 
 
@@ -182,3 +184,10 @@ def _words(expect: Expect | None) -> str:
         told += f", saying {expect.reason!r}"
     told += "".join(f", {name} <= {bound:g}" for name, bound in expect.at_most.items())
     return told + "".join(f", {name} >= {bound:g}" for name, bound in expect.at_least.items())
+
+
+def _without_nan(found: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in found.items()
+    }

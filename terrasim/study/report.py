@@ -10,6 +10,7 @@ from terrasim.output.report_page import Fact, figure, notice, page
 from terrasim.output.report_table import metres_text, number_text, table
 from terrasim.scenario.scenario import flat_settings
 from terrasim.study.folder import write_text
+from terrasim.study.orders import FLAT
 from terrasim.study.plots import draw
 from terrasim.study.runs import DONE
 from terrasim.study.settings import Study
@@ -38,7 +39,8 @@ def study_html(record: Record) -> str:
     shown_measures = [
         name
         for name in drawn(study)[:MOST_DRAWN]
-        if any(median(one, name) is not None for one in record["variants"])
+        # What is nothing everywhere is said in words.
+        if any(median(one, name) for one in record["variants"])
     ]
     pictures = [
         figure(draw(study, record, name), f"{name} against run time", _caption(record, name))
@@ -70,8 +72,9 @@ def _facts(record: Record, measures: list[str]) -> list[Fact]:
     ]
     if len(done) < len(variants):
         facts.append(("not done", str(len(variants) - len(done)), "refused, stopped or failed"))
-    if record["orders"]:
-        first = record["orders"][0]
+    orders = [one for one in record["orders"] if one["order"] >= FLAT]
+    if orders:
+        first = orders[0]
         facts.append(("order", f"{first['order']:.2f}", f"{first['measure']} in {first['knob']}"))
     for name in measures[:2]:
         best = min(one[name]["median"] for one in done if one[name] is not None)
@@ -131,6 +134,10 @@ def _words(record: Record, measures: list[str]) -> str:
         )
         for one in record["orders"]
     ]
+    for name in record["pareto"]:
+        values = [median(one, name) for one in record["variants"]]
+        if all(value == 0.0 for value in values):
+            said.append(f"<strong>{escape(name)}</strong>: exactly 0 in every variant.")
     text = "".join(f"<p>{one}</p>" for one in said)
     if rows:
         text += table(("measure", "step", "others at", "fitted"), rows)

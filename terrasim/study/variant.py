@@ -32,7 +32,7 @@ def main(job: Path, out: Path) -> None:
         # What is refused is refused at the first step at the latest.
         status = "stopped" if progress["step"] else "refused"
         result = {"status": status, "reason": " ".join(str(error).split())}
-    except (RunError, MemoryError, OSError) as error:
+    except RunError as error:
         result = {"status": "stopped", "reason": " ".join(str(error).split())}
     growing = out.with_name(f"{out.name}.{os.getpid()}")
     growing.write_text(json.dumps({**result, "version": told["version"]}), encoding="utf-8")

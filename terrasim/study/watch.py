@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from terrasim.errors import RunError
 from terrasim.query import sample_all
 from terrasim.scenario.simulation import Setup, Simulation
 from terrasim.study.exact.motion import SOLID
@@ -61,6 +62,7 @@ class Watch:
         if not framed and not self._every_step:
             return
         place, velocity, spin = self._state()
+        self._require_finite(place, velocity)
         if framed:
             time_s = self._simulation.time_s
             self._frames.append((time_s, place[self._few], velocity[self._few]))
@@ -117,6 +119,16 @@ class Watch:
             "at_rest": int(np.count_nonzero(speed < 1e-3)),
             "gap": float(np.abs(gap).max()),
         }
+
+    def _require_finite(self, place: Floats, velocity: Floats) -> None:
+        """Stop where there is nothing left to measure."""
+        bad = ~(np.isfinite(place).all(axis=1) & np.isfinite(velocity).all(axis=1))
+        if bad.any():
+            first = int(np.argmax(bad))
+            raise RunError(
+                f"ball {first} is not finite after {self._simulation.time_s:g} s: place "
+                f"{place[first].tolist()} m, velocity {velocity[first].tolist()} m/s"
+            )
 
     @property
     def _radii(self) -> Floats:
