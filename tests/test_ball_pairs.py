@@ -1,4 +1,4 @@
-"""Balls against balls: closed forms, conserved sums, piles, far places, any order, crowds."""
+"""Balls against balls: closed forms, conserved sums, a pile, sleep, bad input."""
 
 from __future__ import annotations
 
@@ -7,66 +7,16 @@ import sys
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-import warp as wp
+from ball_clouds import DT, brute, cloud, flat, masses, motion, state, weigh
 
 from terrasim.balls.balls import Balls, step
-from terrasim.balls.neighbours import SLACK, near_pairs
 from terrasim.balls.pairs import Meetings, collide
 from terrasim.balls.sleep import Awake
 from terrasim.errors import InputError
 from terrasim.grid import Grid
-from terrasim.sources.analytic import Flat
 from terrasim.sources.array_source import ArraySource
 from terrasim.terrain import Terrain
-
-DT = 1e-3
-Table = npt.NDArray[np.float64]
-
-
-def flat(spacing: float = 1.0, threads: int = 1, *, row: int = 0, col: int = 0) -> Terrain:
-    return Terrain(Flat(Grid(40, 40, spacing, row=row, col=col)), threads=threads)
-
-
-def cloud(
-    terrain: Terrain, count: int, side: float, radius: tuple[float, float], **options: Any
-) -> Balls:
-    """Balls at random places and speeds, high above the ground."""
-    rng = np.random.default_rng(count)
-    place = rng.uniform(0.0, side, (count, 3)) + np.array([5.0, 5.0, 50.0])
-    size = rng.uniform(*radius, count)
-    return Balls.at(terrain, place, rng.normal(0.0, 3.0, (count, 3)), radius=size, **options)
-
-
-def masses(balls: Balls) -> Table:
-    mass = getattr(balls, "mass", None)
-    return np.asarray(balls.material.numpy()["radius"] ** 3 if mass is None else mass.numpy())
-
-
-def weigh(balls: Balls, mass: npt.ArrayLike) -> None:
-    """Give balls masses, as a scene may."""
-    values = np.ascontiguousarray(mass, dtype=np.float64)
-    given: Any = balls
-    given.mass = wp.array(values, dtype=wp.float64, device=balls.cell.device)
-
-
-def motion(balls: Balls) -> Table:
-    """Kinetic energy of each [J]."""
-    return np.asarray(0.5 * masses(balls) * np.square(balls.velocity.numpy()).sum(axis=1))
-
-
-def state(balls: Balls) -> list[npt.NDArray[Any]]:
-    """Everything that moves, without the cells."""
-    return [array.numpy().copy() for array in (balls.offset, balls.z, balls.velocity)]
-
-
-def brute(terrain: Terrain, balls: Balls, slack: float) -> npt.NDArray[np.int64]:
-    """All pairs apart by at most a part of the sum of their radii."""
-    place, radius = balls.positions(terrain), balls.material.numpy()["radius"]
-    away = np.linalg.norm(place[:, None] - place[None], axis=2)
-    near = away - (radius[:, None] + radius) <= slack * (radius[:, None] + radius)
-    return np.argwhere(np.triu(near, 1))
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
@@ -206,52 +156,6 @@ def test_balls_on_one_spot_part_by_number() -> None:
         assert balls.z.numpy().tolist() == [4.875, 5.125]
 
 
-@pytest.mark.parametrize(
-    ("spacing", "radius"), [(1.0, (0.05, 0.2)), (0.07, (0.05, 0.2)), (1.0, (0.03, 0.031))]
-)
-def test_the_grid_finds_the_pairs_that_looking_at_all_finds(
-    spacing: float, radius: tuple[float, float]
-) -> None:
-    """Balls smaller and larger than cells, across cells with negative numbers."""
-    with flat(spacing, row=-20, col=-20) as terrain:
-        balls = cloud(terrain, 1200, 1.5, radius, anchor=(-5, -5))
-        pairs = near_pairs(terrain, balls, neighbours=128)
-        expected = brute(terrain, balls, SLACK)
-        assert len(expected) > 20
-        np.testing.assert_array_equal(pairs, expected)
-        touching = len(brute(terrain, balls, 0.0))
-        met = collide(terrain, balls, DT, neighbours=128)
-        assert (met.touching, met.pushed, met.crowded) == (touching, touching, 0)
-
-
-def ended(terrain: Terrain, order: npt.NDArray[np.int64], anchor: tuple[int, int]) -> list[Any]:
-    """Where colliding balls get to that were given in an order; by their first numbers."""
-    balls = cloud(terrain, 4000, 3.0, (0.05, 0.15), anchor=anchor).copy(order)
-    for _ in range(5):
-        step(terrain, balls, DT, gravity=9.81)
-        collide(terrain, balls, DT, restitution=0.7)
-    back = np.argsort(order)
-    return [array[back] for array in [*state(balls), balls.cell.numpy() - np.array(anchor)]]
-
-
-def test_threads_far_places_and_the_order_of_balls_change_no_bit() -> None:
-    """1, 2 and 3 threads, 10^9 cells away, and balls numbered in another order."""
-    count = 4000
-    same, other = np.arange(count), np.random.default_rng(1).permutation(count)
-    far = 10**9
-    with flat() as terrain:
-        expected = ended(terrain, same, (0, 0))
-        shuffled = ended(terrain, other, (0, 0))
-    for found in (shuffled, *(_far(threads, far, same) for threads in (1, 2, 3))):
-        for a, b in zip(found, expected, strict=True):
-            assert np.array_equal(a, b)
-
-
-def _far(threads: int, far: int, order: npt.NDArray[np.int64]) -> list[Any]:
-    with flat(threads=threads, row=-far, col=far) as terrain:
-        return ended(terrain, order, (-far, far))
-
-
 def pit(rows: int = 40) -> Terrain:
     """A pyramid turned upside down, sides of 1 in 2."""
     row, col = np.mgrid[0:rows, 0:rows]
@@ -281,33 +185,6 @@ def test_a_pile_in_a_pit_settles_with_little_overlap() -> None:
     assert met.touching > 250
     assert np.median(speed) < 3 * 9.81 * dt
     assert speed.max() < 1.0
-
-
-def test_a_crowd_in_one_cell_is_counted_and_keeps_its_momentum() -> None:
-    """Each ball sees few of the others, but those see it."""
-    with flat() as terrain:
-        balls = cloud(terrain, 3000, 0.2, (0.05, 0.06))
-        mass, energy = masses(balls)[:, None], motion(balls).sum()
-        start = (mass * balls.velocity.numpy()).sum(axis=0)
-        met = collide(terrain, balls, DT, restitution=1.0, neighbours=8, visits=32)
-        assert met.crowded == 3000
-        assert met.struck > 1000
-        end = (mass * balls.velocity.numpy()).sum(axis=0)
-        np.testing.assert_allclose(end, start, rtol=0, atol=1e-14 * np.abs(mass).sum())
-        assert motion(balls).sum() <= energy
-
-
-def test_a_bad_ball_harms_no_other() -> None:
-    """NaN touches nothing; a ball without neighbours keeps every bit."""
-    with flat() as terrain:
-        balls = Balls.at(terrain, [[9.0, 9.0, 5.0], [9.0, 9.0, 5.1], [9.3, 9.0, 5.0]], radius=0.125)
-        velocity, z = balls.velocity.numpy(), balls.z.numpy()
-        z[1], velocity[1] = np.nan, np.nan
-        balls.z = wp.array(z, dtype=wp.float64, device=terrain.device)
-        balls.velocity = wp.array(velocity, dtype=wp.vec3d, device=terrain.device)
-        assert collide(terrain, balls, DT).touching == 0
-        assert balls.z.numpy()[[0, 2]].tolist() == [5.0, 5.0]
-        assert not balls.velocity.numpy()[[0, 2]].any()
 
 
 def test_balls_too_fast_to_be_sure_of_are_counted() -> None:

@@ -1,7 +1,7 @@
 """Finding the balls that are near each other, through a hash grid.
 
 It is made anew each time: balls are sorted by the bucket of their bin, and each lists its
-neighbours. What is kept a ball besides its state is about 270 bytes, while the caller holds it.
+neighbours.
 """
 
 from __future__ import annotations
@@ -27,6 +27,15 @@ radii differ by a factor of 3.5."""
 SLACK = 0.1
 """Balls that are apart by this part of the sum of their radii may come to touch while others are
 pushed apart."""
+PAIR_BYTES: int = (
+    sum(wp.types.type_size_in_bytes(dtype) for dtype in (Sphere, Bin, wp.vec3d))
+    # Buckets twice, order twice, up to four buckets a ball, and its place.
+    + 4 * (2 + 2 + 4 + 1)
+    # Two lists with their lengths, the second of them only in a crowd.
+    + 2 * 4 * (NEIGHBOURS + 1)
+    + 1
+)
+"""Bytes a ball at most, while balls are let collide; nothing is kept after it."""
 _MOST_PARTS = 2.0**20
 _MOST_CELLS = 2.0**33
 
