@@ -16,6 +16,7 @@ from terrasim.kernels.contact import (
     motion_of,
     plane_of,
     resting_z,
+    seated,
     unburied,
 )
 from terrasim.kernels.surface import Lattice
@@ -80,11 +81,18 @@ def advance(body: Body, plane: Plane, material: Material, step: Step, spacing: w
 def calmed(body: Body, spare: int, step: Step) -> Body:
     """The body at rest if it is slow and still met many events: it lies in a pit."""
     out = body
-    slow = _HALF * step.gravity * step.dt
-    still = wp.dot(body.v, body.v) <= slow * slow
+    still = wp.dot(body.v, body.v) <= step.calm * step.calm
     if body.left > _ZERO and spare <= _EVENTS - _PIT_EVENTS and still:
         out.v = wp.vec3d(_ZERO, _ZERO, _ZERO)
         out.left = _ZERO
+    return out
+
+
+@wp.func
+def pulled(body: Body, step: Step) -> Body:
+    """The body after what of gravity acts before the first event."""
+    out = body
+    out.v[2] -= (step.gravity - step.pull) * step.dt
     return out
 
 
@@ -142,8 +150,8 @@ def step_balls(
     lattice.factor = 1
     ball = material[i]
     body = loaded(cell[i], offset[i], z[i], velocity[i], step.dt)
-    plane = plane_of(pool, table, lattice, body)
-    body = unburied(body, plane, ball.radius, lattice.spacing)
+    plane = seated(plane_of(pool, table, lattice, body), step.upright)
+    body = pulled(unburied(body, plane, ball.radius, lattice.spacing), step)
     most = most_events(body.v, step, lattice.spacing)
     events = int(0)
     seen = int(plane.state)
@@ -156,6 +164,7 @@ def step_balls(
         body = advance(body, plane, ball, step, lattice.spacing)
         if body.edge != _NO_EDGE:
             there = plane_of(pool, table, lattice, beyond(body, body.edge, lattice.spacing))
+            there = seated(there, step.upright)
             side = body.side
             body = cross(body, plane, there, ball, step, lattice.spacing)
             if body.side != side:
@@ -176,6 +185,7 @@ def stand_balls(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
     lattice: Lattice,
+    upright: int,
     # In:
     material: wp.array(dtype=Material),
     cell: wp.array(dtype=wp.vec2i),
@@ -186,5 +196,5 @@ def stand_balls(
     """Turn a ball's height above touching ground without detail into one above the datum."""
     i = wp.tid()
     body = loaded(cell[i], offset[i], z[i], wp.vec3d(), _ZERO)
-    plane = plane_of(pool, table, lattice, body)
+    plane = seated(plane_of(pool, table, lattice, body), upright)
     z[i] = resting_z(plane, body, material[i].radius, lattice.spacing) + z[i]

@@ -6,9 +6,9 @@ same to the bit.
 
 import warp as wp
 
-from terrasim.kernels.balls import Tally, advance, calmed, most_events, tallied
+from terrasim.kernels.balls import Tally, advance, calmed, most_events, pulled, tallied
 from terrasim.kernels.body import Material, Step, beyond, loaded
-from terrasim.kernels.contact import resting_z, unburied
+from terrasim.kernels.contact import resting_z, seated, unburied
 from terrasim.kernels.footing import (
     carried,
     divided,
@@ -52,8 +52,8 @@ def step_balls_on_detail(
     ground = footing_of(table, lattice, body.row, body.col)
     if ground.fine == 1:
         body = divided(body, ground, lattice.factor)
-    plane = plane_under(pool, table, lattice, body, ground)
-    body = unburied(body, plane, ball.radius, ground.size)
+    plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
+    body = pulled(unburied(body, plane, ball.radius, ground.size), step)
     most = most_events(body.v, step, ground.size)
     most_fine = most_events(body.v, step, finer(ground, lattice).size)
     events = int(0)
@@ -71,7 +71,7 @@ def step_balls_on_detail(
             ahead = beyond(body, edge, ground.size)
             beside = next_footing(table, lattice, ahead, ground)
             ahead = carried(ahead, edge, ground, beside, lattice.factor)
-            there = plane_under(pool, table, lattice, ahead, beside)
+            there = seated(plane_under(pool, table, lattice, ahead, beside), step.upright)
             body = pass_on(body, ahead, plane, there, ball, step, beside.size)
             if body.side != side:
                 plane = there
@@ -82,7 +82,7 @@ def step_balls_on_detail(
                 ground = finer(ground, lattice)
                 body = divided(body, ground, lattice.factor)
                 body.side = side
-                plane = plane_under(pool, table, lattice, body, ground)
+                plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
             most = wp.where(ground.fine == 1, most_fine, most)
         body = calmed(body, most - events, step)
     body = unburied(body, plane, ball.radius, ground.size)
@@ -102,6 +102,7 @@ def stand_balls_on_detail(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
     lattice: Lattice,
+    upright: int,
     # In:
     material: wp.array(dtype=Material),
     cell: wp.array(dtype=wp.vec2i),
@@ -115,5 +116,5 @@ def stand_balls_on_detail(
     ground = footing_of(table, lattice, body.row, body.col)
     if ground.fine == 1:
         body = divided(body, ground, lattice.factor)
-    plane = plane_under(pool, table, lattice, body, ground)
+    plane = seated(plane_under(pool, table, lattice, body, ground), upright)
     z[i] = resting_z(plane, body, material[i].radius, ground.size) + z[i]

@@ -6,9 +6,9 @@ beside its material.
 
 import warp as wp
 
-from terrasim.kernels.balls import Tally, calmed, most_events, tallied
+from terrasim.kernels.balls import Tally, calmed, most_events, pulled, tallied
 from terrasim.kernels.body import Material, Step, beyond, loaded
-from terrasim.kernels.contact import unburied
+from terrasim.kernels.contact import seated, unburied
 from terrasim.kernels.footing import (
     carried,
     divided,
@@ -56,8 +56,8 @@ def spun_walk(
     ground = footing_of(table, lattice, body.row, body.col)
     if ground.fine == 1:
         body = divided(body, ground, lattice.factor)
-    plane = plane_under(pool, table, lattice, body, ground)
-    ball.body = unburied(body, plane, material.radius, ground.size)
+    plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
+    ball.body = pulled(unburied(body, plane, material.radius, ground.size), step)
     # Friction can turn all of its spin into speed.
     fastest = wp.vec3d(speed_with_spin(body.v, ball.w, material.radius), _ZERO, _ZERO)
     most = most_events(fastest, step, ground.size)
@@ -77,7 +77,7 @@ def spun_walk(
             ahead = beyond(ball.body, edge, ground.size)
             beside = next_footing(table, lattice, ahead, ground)
             ahead = carried(ahead, edge, ground, beside, lattice.factor)
-            there = plane_under(pool, table, lattice, ahead, beside)
+            there = seated(plane_under(pool, table, lattice, ahead, beside), step.upright)
             ball = spun_pass(ball, ahead, plane, there, material, step, beside.size)
             if ball.body.side != side:
                 plane = there
@@ -88,7 +88,7 @@ def spun_walk(
                 ground = finer(ground, lattice)
                 ball.body = divided(ball.body, ground, lattice.factor)
                 ball.body.side = side
-                plane = plane_under(pool, table, lattice, ball.body, ground)
+                plane = seated(plane_under(pool, table, lattice, ball.body, ground), step.upright)
             most = wp.where(ground.fine == 1, most_fine, most)
         left = ball.body.left
         ball.body = calmed(ball.body, most - events, step)

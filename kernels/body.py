@@ -26,6 +26,12 @@ class Step:
     """Its length [s]."""
     gravity: wp.float64
     """Downward acceleration [m/s^2]."""
+    pull: wp.float64
+    """What of it acts between two events [m/s^2]: all, or nothing if it acted before the first."""
+    calm: wp.float64
+    """Speed after an impact up to which a ball does not leave level ground [m/s]."""
+    upright: int
+    """1 if a ball touches what is a radius under its centre, whatever the slope there."""
 
 
 @wp.struct

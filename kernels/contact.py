@@ -1,9 +1,10 @@
 """Contact of a sphere with the plane of the triangle under its centre.
 
 A ball touches the plane when the vertical clearance ``z - surface - radius * sqrt(1 + slope^2)`` is
-nothing. That is linear in its place on one plane, so in flight the time of an impact is the root of
-a quadratic. From one plane to the next the clearance jumps, as ``sqrt(1 + slope^2)`` does: what
-happens at such an edge is the greater part of this file.
+nothing; one whose contact is ``vertical``, when ``z - surface - radius`` is. That is linear in its
+place on one plane, so in flight the time of an impact is the root of a quadratic. From one plane to
+the next the clearance jumps, as ``sqrt(1 + slope^2)`` does: what happens at such an edge is the
+greater part of this file.
 """
 
 import warp as wp
@@ -46,6 +47,8 @@ class Plane:
     """Slope along x and y."""
     length: wp.float64
     """Length of the normal whose z is 1."""
+    over: wp.float64
+    """Height of the centre of a ball that touches it over the plane [radii]."""
     layer: int
     """Layer of the pool that answered."""
     state: int
@@ -96,14 +99,23 @@ def plane_of(
     rise = _COUNT_M / lattice.spacing
     plane.slope = wp.vec2d(plane.du * rise, plane.dv * rise)
     plane.length = wp.sqrt(_ONE + wp.dot(plane.slope, plane.slope))
+    plane.over = plane.length
     return plane
+
+
+@wp.func
+def seated(plane: Plane, upright: int) -> Plane:
+    """The plane as balls touch it whose contact is by the height under the centre alone."""
+    out = plane
+    out.over = wp.where(upright == 1, _ONE, plane.over)
+    return out
 
 
 @wp.func
 def resting_z(plane: Plane, body: Body, radius: wp.float64, spacing: wp.float64) -> wp.float64:
     """Height at which the body's centre touches the plane [m above the datum]."""
     counts = plane.height + (plane.du * (body.x / spacing) + plane.dv * (body.y / spacing))
-    return counts * _COUNT_M + radius * plane.length
+    return counts * _COUNT_M + radius * plane.over
 
 
 @wp.func
@@ -125,7 +137,7 @@ def rebound(plane: Plane, v: wp.vec3d, material: Material, step: Step) -> wp.flo
     A ball that would be back on the ground within the step does not leave it.
     """
     up = -material.restitution * wp.dot(v, normal(plane))
-    return wp.where(up < _HALF * step.gravity * step.dt / plane.length, _ZERO, up)
+    return wp.where(up < step.calm / plane.length, _ZERO, up)
 
 
 @wp.func
@@ -144,8 +156,7 @@ def strike(plane: Plane, v: wp.vec3d, material: Material, step: Step) -> wp.vec3
 @wp.func
 def hard(plane: Plane, v: wp.vec3d, step: Step) -> int:
     """1 if a ball meets the plane faster than gravity makes it in half the step."""
-    limit = _HALF * step.gravity * step.dt
-    return wp.where(-closing(plane, v) > limit * plane.length, 1, 0)
+    return wp.where(-closing(plane, v) > step.calm * plane.length, 1, 0)
 
 
 @wp.func
@@ -183,15 +194,15 @@ def motion_of(
     motion.time = _NEVER
     if body.rail != _NO_EDGE:
         way = along_edge(plane, body.rail)
-        return slide(way * (-step.gravity * way[2]), material.friction * body.press, body.v)
+        return slide(way * (-step.pull * way[2]), material.friction * body.press, body.v)
     if body.lies == 1:
         n = normal(plane)
-        pull = wp.vec3d(n[0] * n[2], n[1] * n[2], n[2] * n[2] - _ONE) * step.gravity
-        return slide(pull, material.friction * step.gravity * n[2], body.v)
-    motion.a = wp.vec3d(_ZERO, _ZERO, -step.gravity)
+        pull = wp.vec3d(n[0] * n[2], n[1] * n[2], n[2] * n[2] - _ONE) * step.pull
+        return slide(pull, material.friction * step.pull * n[2], body.v)
+    motion.a = wp.vec3d(_ZERO, _ZERO, -step.pull)
     if (plane.state & _IN_HOLE) == 0:
         clear = wp.max(_ZERO, body.z - resting_z(plane, body, material.radius, spacing))
-        motion.time = first_zero(clear, closing(plane, body.v), -step.gravity)
+        motion.time = first_zero(clear, closing(plane, body.v), -step.pull)
     return motion
 
 
@@ -234,7 +245,7 @@ def wedged(body: Body, here: Plane, there: Plane, step: Step) -> bool:
     a = normal(here)
     b = normal(there)
     both = wp.dot(a, b)
-    slow = outward(body, body.edge) <= _HALF * step.gravity * step.dt
+    slow = outward(body, body.edge) <= step.calm
     pressed = b[2] - both * a[2] > _STILL and a[2] - both * b[2] > _STILL
     return body.lies == 1 and slow and pressed
 
@@ -249,7 +260,7 @@ def railed(body: Body, here: Plane, there: Plane, step: Step) -> Body:
     out.v = way * wp.dot(way, body.v)
     out.rail = body.edge
     # The sum of the two forces along a and b whose vector sum carries the ball.
-    out.press = step.gravity * (a[2] + b[2]) / (_ONE + wp.dot(a, b))
+    out.press = step.pull * (a[2] + b[2]) / (_ONE + wp.dot(a, b))
     return out
 
 
@@ -294,7 +305,7 @@ def barred(
     """The body at an edge whose far plane it cuts into by ``lift``; ``ahead`` lies beyond."""
     out = body
     out.rail = _NO_EDGE
-    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.length:
+    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.over:
         # Its centre is below the surface: the hole's wall.
         out.v[0] = -material.restitution * body.v[0]
         out.v[1] = -material.restitution * body.v[1]

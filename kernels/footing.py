@@ -108,6 +108,7 @@ def plane_under(
     rise = _COUNT_M / ground.size
     plane.slope = wp.vec2d(plane.du * rise, plane.dv * rise)
     plane.length = wp.sqrt(_ONE + wp.dot(plane.slope, plane.slope))
+    plane.over = plane.length
     return plane
 
 

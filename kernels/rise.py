@@ -9,7 +9,7 @@ now. So the step is what it always is, and after it the rate is given back.
 import warp as wp
 
 from terrasim.kernels.body import Body, Material, Step, loaded
-from terrasim.kernels.contact import TOUCH, Plane, closing, plane_of, resting_z, strike
+from terrasim.kernels.contact import TOUCH, Plane, closing, plane_of, resting_z, seated, strike
 from terrasim.kernels.lattice import Lattice
 
 FIRST = 0
@@ -52,7 +52,7 @@ def looked(
 ) -> Rise:
     """What is known of the ground under a ball after one more look at it."""
     touch = resting_z(plane, body, radius, size)
-    height = touch - radius * plane.length
+    height = touch - radius * plane.over
     known = wp.where((plane.state & _UNKNOWN) == 0, 1, 0)
     out = last
     if when == _FIRST:
@@ -104,6 +104,7 @@ def look(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
     lattice: Lattice,
+    upright: int,
     when: int,
     # In:
     material: wp.array(dtype=Material),
@@ -117,7 +118,7 @@ def look(
     i = wp.tid()
     lattice.factor = 1
     body = loaded(cell[i], offset[i], z[i], wp.vec3d(), _ZERO)
-    plane = plane_of(pool, table, lattice, body)
+    plane = seated(plane_of(pool, table, lattice, body), upright)
     rise[i] = looked(rise[i], plane, body, material[i].radius, lattice.spacing, when)
 
 
@@ -147,7 +148,7 @@ def board(
     if rise[i].rise == _ZERO and rise[i].lift == _ZERO:
         return
     body = loaded(cell[i], offset[i], z[i], velocity[i], step.dt)
-    plane = plane_of(pool, table, lattice, body)
+    plane = seated(plane_of(pool, table, lattice, body), step.upright)
     if meets(rise[i], plane, body.v, step):
         body = boarded(body, rise[i], plane, material[i], rubs, step)
         z[i] = body.z

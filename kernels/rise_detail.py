@@ -3,6 +3,7 @@
 import warp as wp
 
 from terrasim.kernels.body import Material, Step, loaded
+from terrasim.kernels.contact import seated
 from terrasim.kernels.footing import divided, footing_of, plane_under
 from terrasim.kernels.lattice import Lattice
 from terrasim.kernels.rise import Rise, boarded, looked, meets
@@ -16,6 +17,7 @@ def look_at_detail(
     pool: wp.array(dtype=int),
     table: wp.array(dtype=int),
     lattice: Lattice,
+    upright: int,
     when: int,
     # In:
     material: wp.array(dtype=Material),
@@ -31,7 +33,7 @@ def look_at_detail(
     ground = footing_of(table, lattice, body.row, body.col)
     if ground.fine == 1:
         body = divided(body, ground, lattice.factor)
-    plane = plane_under(pool, table, lattice, body, ground)
+    plane = seated(plane_under(pool, table, lattice, body, ground), upright)
     rise[i] = looked(rise[i], plane, body, material[i].radius, ground.size, when)
 
 
@@ -63,7 +65,7 @@ def board_on_detail(
     ground = footing_of(table, lattice, body.row, body.col)
     if ground.fine == 1:
         body = divided(body, ground, lattice.factor)
-    plane = plane_under(pool, table, lattice, body, ground)
+    plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
     if meets(rise[i], plane, body.v, step):
         body = boarded(body, rise[i], plane, material[i], rubs, step)
         z[i] = body.z

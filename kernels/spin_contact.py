@@ -110,9 +110,9 @@ def pull_on(body: Body, plane: Plane, step: Step) -> wp.vec3d:
     """Gravity along the ground a ball lies on [m/s^2]."""
     if body.rail != _NO_EDGE:
         way = along_edge(plane, body.rail)
-        return way * (-step.gravity * way[2])
+        return way * (-step.pull * way[2])
     n = normal(plane)
-    return wp.vec3d(n[0] * n[2], n[1] * n[2], n[2] * n[2] - _ONE) * step.gravity
+    return wp.vec3d(n[0] * n[2], n[1] * n[2], n[2] * n[2] - _ONE) * step.pull
 
 
 @wp.func
@@ -131,7 +131,7 @@ def spun_advance(
         out.body.edge = wp.where(way_out.time <= t, way_out.edge, _NO_EDGE)
         return out
     wheel = wheel_of(out, plane, material)
-    load = wp.where(body.rail != _NO_EDGE, body.press, step.gravity * wheel.n[2])
+    load = wp.where(body.rail != _NO_EDGE, body.press, step.pull * wheel.n[2])
     course = course_of(body.v, out.w, wheel, pull_on(body, plane, step), load, body.left)
     way_out = leave(body, course.a, spacing)
     t = wp.min(body.left, wp.min(course.time, way_out.time))
@@ -221,7 +221,7 @@ def spun_pass(
         return spun_railed(ball, here, there, material, step)
     if lift <= _TOUCH:
         return out
-    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.length:
+    if (here.state & _IN_HOLE) != 0 and lift > material.radius * there.over:
         # Its centre is below the surface: the hole's wall.
         out.body = ball.body
         out.body.rail = _NO_EDGE

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
+from terrasim.balls.collision import AS_USUAL, Collision
 from terrasim.balls.moved import Moved
 from terrasim.balls.moving import board, leave
 from terrasim.balls.reach import Reach, next_reach
@@ -32,7 +33,7 @@ from terrasim.grid import Indices
 from terrasim.kernels.balls import Tally, stand_balls, step_balls
 from terrasim.kernels.balls_detail import stand_balls_on_detail, step_balls_on_detail
 from terrasim.kernels.balls_spin import step_spinning_balls, step_spinning_balls_on_detail
-from terrasim.kernels.body import Material, Step
+from terrasim.kernels.body import Material
 from terrasim.kernels.spin import SOLID
 from terrasim.launch import launch
 from terrasim.terrain import Terrain
@@ -60,6 +61,8 @@ class Balls:
     """Spin [rad/s], vec3d; None if the balls have none, and it takes no memory."""
     rolling: Any = None
     """Coefficient of rolling friction, float64; None without spin."""
+    collision: Collision = AS_USUAL
+    """How they meet the ground."""
     reach: Reach | None = None
     """Ground required for the coming steps. Make it None after changing cells or velocities."""
     moved: Moved | None = None
@@ -85,6 +88,7 @@ class Balls:
         friction: npt.ArrayLike = 0.5,
         spin: npt.ArrayLike | None = None,
         rolling: npt.ArrayLike | None = None,
+        collision: Collision = AS_USUAL,
         anchor: Anchor = (0, 0),
         above_ground: bool = False,
     ) -> Self:
@@ -102,6 +106,7 @@ class Balls:
                 without.
             rolling: Coefficient of rolling friction, at least 0, one or ``count``: a ball stays on
                 slopes whose tangent is at most that. Only with spin.
+            collision: How they meet the ground.
             anchor: Level-0 post (row, column) that x and y start from; it need not lie on the
                 terrain. With an anchor nearby, places are as precise far away as at the origin.
             above_ground: Whether z counts from where a ball touches the ground below.
@@ -132,6 +137,7 @@ class Balls:
             wp.array(speed, dtype=wp.vec3d, device=device),
             wp.array(material, dtype=Material, device=device),
             wp.zeros(count, dtype=Tally, device=device),
+            collision=collision,
         )
         _spin(balls, spin, rolling)
         if above_ground:
@@ -225,16 +231,11 @@ def step(
     Raises:
         InputError: If ``dt`` or ``gravity`` is out of its range.
     """
-    if not (math.isfinite(dt) and dt > 0.0):
-        raise InputError(f"dt must be above 0 s and finite, got {dt}")
-    if not (math.isfinite(gravity) and gravity >= 0.0):
-        raise InputError(f"gravity must be at least 0 m/s^2 and finite, got {gravity}")
+    now = balls.collision.step(dt, gravity)
     if balls.count == 0:
         return
     if require:
         terrain.cache.require([reach(terrain, balls, dt, gravity=gravity)])
-    now: Any = Step()
-    now.dt, now.gravity = dt, gravity
     one = stepped(terrain, balls)
     rates = board(terrain, one, now)
     _advance(terrain, one, now)
@@ -293,7 +294,7 @@ def _stand(terrain: Terrain, balls: Balls) -> None:
     launch(
         stand_balls_on_detail if terrain.lattice.factor > 1 else stand_balls,
         balls.count,
-        shared=[terrain.pool, terrain.required, terrain.lattice],
+        shared=[terrain.pool, terrain.required, terrain.lattice, balls.collision.upright],
         items=[balls.material, balls.cell, balls.offset, balls.z],
         device=terrain.device,
         threads=terrain.threads,

@@ -135,7 +135,7 @@ def _look(terrain: Terrain, balls: Balls, moved: Moved, when: int) -> None:
     launch(
         kernel,
         balls.count,
-        shared=[terrain.pool, terrain.required, terrain.lattice, when],
+        shared=[terrain.pool, terrain.required, terrain.lattice, balls.collision.upright, when],
         items=[balls.material, balls.cell, balls.offset, balls.z, moved.rises],
         device=terrain.device,
         threads=terrain.threads,
