@@ -52,7 +52,9 @@ def test_steps_are_told_from_other_knobs() -> None:
     assert step_of("run.dt_s", 0.01) == 0.01
     assert step_of("terrain.spacing", 2) == 2.0
     assert step_of("detail.factor", 8) == 0.125
+    assert [step_of("samples.level", level) for level in (0, 3)] == [1.0, 8.0]
     assert step_of("run.threads", 2) is None
+    assert step_of("run.dt_s", 0.0) is None
     assert step_of("collision.contact", "plane") is None
 
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-SPACINGS = {"dt_s": 1, "spacing": 1, "factor": -1}
-"""Knobs that are a step or a spacing, by the last word of their path; -1 divides one."""
+STEPS: dict[str, Callable[[float], float]] = {
+    "dt_s": lambda value: value,
+    "spacing": lambda value: value,
+    "factor": lambda value: 1.0 / value if value else 0.0,
+    "level": lambda value: 2.0**value,
+}
+"""Knobs that stand for a step or a spacing, by the last word of their path."""
+NAMES = {"factor": "1 / {}", "level": "spacing of {}, over that of level 0"}
+"""What such a step is called where it is not the knob itself."""
 FLAT = 0.2
 """An error whose fitted power is smaller does not depend on the knob."""
 
@@ -41,11 +48,15 @@ class Order:
 
 def step_of(knob: str, value: Any) -> float | None:
     """The step or spacing that a knob's value stands for; None if it is none."""
-    power = SPACINGS.get(knob.rsplit(".", maxsplit=1)[-1])
+    step = STEPS.get(knob.rsplit(".", maxsplit=1)[-1])
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if power is None or not number or value <= 0:
-        return None
-    return float(value) ** power
+    found = step(value) if step is not None and number else 0.0
+    return found if found > 0.0 else None
+
+
+def step_name(knob: str) -> str:
+    """What :func:`step_of` gives, in words."""
+    return NAMES.get(knob.rsplit(".", maxsplit=1)[-1], "{}").format(knob)
 
 
 def fit_order(steps: Sequence[float], errors: Sequence[float | None]) -> Order | None:

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from terrasim.study.measures import MEASURES
-from terrasim.study.orders import step_of
+from terrasim.study.orders import step_name, step_of
 from terrasim.study.settings import Study
 from terrasim.study.verdicts import COST, median, series, step_knobs
 
@@ -97,7 +97,7 @@ def _against_cost(
                     str(number), place, xytext=(7, 6), textcoords="offset points", fontsize=8,
                     color=SOFT,
                 )  # fmt: skip
-    axes.set_xlabel("run time of all steps [s]")
+    axes.set_xlabel("run time [s]")
     axes.set_title("against run time", color=INK, fontsize=11)
     _legend(axes)
 
@@ -133,9 +133,8 @@ def _against_step(
             ends = [min(x), max(x)]
             line = [fit["size"] * end ** fit["order"] for end in ends]
             axes.plot(ends, line, color=style["color"], linewidth=1.0, linestyle="--")
-    divided = "1 / " if step_of(knob, 2.0) == 0.5 else ""
-    axes.set_xlabel(f"{divided}{knob}")
-    axes.set_title(f"against {divided}{knob}, with fitted orders", color=INK, fontsize=11)
+    axes.set_xlabel(step_name(knob))
+    axes.set_title(f"against {knob}, with fitted orders", color=INK, fontsize=11)
     _legend(axes)
 
 

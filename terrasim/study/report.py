@@ -36,12 +36,9 @@ def write_study_report(folder: Path, record: Record) -> None:
 def study_html(record: Record) -> str:
     """The page as text."""
     study = Study.model_validate(record["study"])
-    shown_measures = [
-        name
-        for name in drawn(study)[:MOST_DRAWN]
-        # What is nothing everywhere is said in words.
-        if any(median(one, name) for one in record["variants"])
-    ]
+    # What is the same everywhere is said in words.
+    shown_measures = [name for name in drawn(study) if len(_values(record, name)) > 1]
+    shown_measures = shown_measures[:MOST_DRAWN]
     pictures = [
         figure(draw(study, record, name), f"{name} against run time", _caption(record, name))
         for name in shown_measures
@@ -135,13 +132,20 @@ def _words(record: Record, measures: list[str]) -> str:
         for one in record["orders"]
     ]
     for name in record["pareto"]:
-        values = [median(one, name) for one in record["variants"]]
-        if all(value == 0.0 for value in values):
-            said.append(f"<strong>{escape(name)}</strong>: exactly 0 in every variant.")
+        values = _values(record, name)
+        if len(values) == 1:
+            told = _value(record, name, values.pop())
+            said.append(f"<strong>{escape(name)}</strong>: {told} in every variant.")
     text = "".join(f"<p>{one}</p>" for one in said)
     if rows:
         text += table(("measure", "step", "others at", "fitted"), rows)
     return text
+
+
+def _values(record: Record, name: str) -> set[float]:
+    """What a measure comes to over all variants; the same up to rounding counts once."""
+    values = [median(one, name) for one in record["variants"]]
+    return {float(f"{value:.6g}") for value in values if value is not None}
 
 
 def _told(record: Record, one: Record, name: str) -> str:

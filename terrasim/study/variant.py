@@ -134,6 +134,7 @@ def _timed(setup: Any) -> dict[str, Any]:
     import warp as wp
 
     from terrasim.scenario.device_memory import counted_memory
+    from terrasim.scenario.samples import take_samples
     from terrasim.scenario.simulation import Simulation
     from terrasim.scenario.stages import StageTimer
 
@@ -145,6 +146,7 @@ def _timed(setup: Any) -> dict[str, Any]:
         while simulation.step < setup.steps:
             simulation.advance()
             simulation.change_ground()
+        take_samples(setup, simulation)
         wp.synchronize_device(simulation.terrain.device)
         run_s, cpu_s = time.perf_counter() - begun, time.process_time() - cpu
         counted = {} if simulation.balls is None else simulation.balls.summary()
