@@ -123,7 +123,7 @@ MEASURES: dict[str, Measure] = {
         "", "balls whose centre was below the surface after a step", _of("below"),
     ),
     "fastest": Measure("m/s", "speed of the fastest ball at the end", _of("fastest")),
-    "run_time": Measure("s", "wall time of all steps and of the samples at the end", _of("run_time")),
+    "run_time": Measure("s", "wall time of all steps and samples", _of("run_time")),
     "cpu_time": Measure("s", "CPU time of all threads in that", _of("cpu_time")),
     "run_time_per_step": Measure("s", "wall time of a step", _per_step),
     "run_time_per_ball_step": Measure(

@@ -153,10 +153,18 @@ def _legend(axes: Any) -> None:
 
 
 def _dress(axes: Any, measure: str, zero: float) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     unit = MEASURES[measure].unit
     name = measure.replace("_", " ")
     axes.set_xscale("log")
     axes.set_yscale("log")
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        # Over a few decades more than the powers of ten can be told, over many they crowd.
+        short = math.log10(high / low) < 2.5
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
     axes.set_ylabel(f"{name} [{unit}]" if unit else name)
     axes.grid(True, which="major", color=LINE, linewidth=0.8)
     axes.tick_params(colors=SOFT, labelsize=8)

@@ -63,8 +63,13 @@ def study_html(record: Record) -> str:
 def _facts(record: Record, measures: list[str]) -> list[Fact]:
     variants = record["variants"]
     done = [one for one in variants if one["status"] == DONE]
+    repeats = variants[0]["repeats"]
     facts = [
-        ("variants", str(len(variants)), f"each run {variants[0]['repeats']} times"),
+        (
+            "variants",
+            str(len(variants)),
+            f"run {repeats} times each" if repeats > 1 else "run once",
+        ),
         ("took", f"{record['wall_s']:.0f} s", f"{record['kept']} runs kept from before"),
     ]
     if len(done) < len(variants):
