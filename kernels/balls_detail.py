@@ -7,9 +7,10 @@ same to the bit.
 import warp as wp
 
 from terrasim.kernels.balls import Tally, advance, calmed, most_events, pulled, tallied
-from terrasim.kernels.body import Material, Step, beyond, loaded
-from terrasim.kernels.contact import resting_z, seated, unburied
+from terrasim.kernels.body import Body, Material, Step, beyond, loaded
+from terrasim.kernels.contact import Plane, resting_z, seated, unburied
 from terrasim.kernels.footing import (
+    Footing,
     carried,
     divided,
     finer,
@@ -24,6 +25,94 @@ from terrasim.kernels.lattice import Lattice
 _ZERO = wp.constant(wp.float64(0.0))
 _COARSER = wp.constant(4)
 _NO_EDGE = wp.constant(-1)
+
+
+@wp.struct
+class Trip:
+    """A ball on its way, and what it met."""
+
+    body: Body
+    """The ball; in a detail cell where its ground has detail."""
+    ground: Footing
+    """The cell of the base under it."""
+    plane: Plane
+    """The plane under it."""
+    seen: int
+    """The states of the planes it met, joined."""
+    error: int
+    """Largest error bound [counts] of a coarser level among them."""
+
+
+@wp.func
+def begun(
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    lattice: Lattice,
+    ball: Body,
+    upright: int,
+) -> Trip:
+    """A ball before its way."""
+    trip = Trip()
+    trip.body = ball
+    trip.ground = footing_of(table, lattice, ball.row, ball.col)
+    if trip.ground.fine == 1:
+        trip.body = divided(ball, trip.ground, lattice.factor)
+    trip.plane = seated(plane_under(pool, table, lattice, trip.body, trip.ground), upright)
+    trip.seen = trip.plane.state
+    return trip
+
+
+@wp.func
+def walked(
+    pool: wp.array(dtype=int),
+    table: wp.array(dtype=int),
+    error: wp.array(dtype=int),
+    used_out: wp.array(dtype=wp.uint8),
+    lattice: Lattice,
+    start: Trip,
+    ball: Material,
+    step: Step,
+) -> Trip:
+    """Walk a ball to the end of a step; its cell is one of the base again."""
+    # Over the limit: the loop of ``step_balls`` with the ground's kind beside its plane.
+    body = start.body
+    ground = start.ground
+    plane = start.plane
+    out = start
+    most = most_events(body.v, step, ground.size)
+    most_fine = most_events(body.v, step, finer(ground, lattice).size)
+    events = int(0)
+    while body.left > _ZERO and events < most:
+        events += 1
+        used_out[plane.layer] = wp.uint8(1)
+        if (plane.state & _COARSER) != 0:
+            out.error = wp.max(out.error, error[plane.layer])
+        body = advance(body, plane, ball, step, ground.size)
+        if body.edge != _NO_EDGE:
+            edge = body.edge
+            side = body.side
+            ahead = beyond(body, edge, ground.size)
+            beside = next_footing(table, lattice, ahead, ground)
+            ahead = carried(ahead, edge, ground, beside, lattice.factor)
+            there = seated(plane_under(pool, table, lattice, ahead, beside), step.upright)
+            body = pass_on(body, ahead, plane, there, ball, step, beside.size)
+            if body.side != side:
+                plane = there
+                ground = beside
+                out.seen = out.seen | plane.state
+            elif body.rail != _NO_EDGE and beside.fine > ground.fine:
+                # Wedged against detail: the next detail cell along the edge may let it go.
+                ground = finer(ground, lattice)
+                body = divided(body, ground, lattice.factor)
+                body.side = side
+                plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
+            most = wp.where(ground.fine == 1, most_fine, most)
+        body = calmed(body, most - events, step)
+    body = unburied(body, plane, ball.radius, ground.size)
+    if body.left > _ZERO:
+        body.v = wp.vec3d(_ZERO, _ZERO, _ZERO)
+    out.body = stored(body, ground, lattice.spacing)
+    return out
 
 
 @wp.kernel(enable_backward=False)
@@ -45,51 +134,14 @@ def step_balls_on_detail(
     tally: wp.array(dtype=Tally),
 ):
     """Move one ball by one step."""
-    # Over the limit: the loop of ``step_balls`` with the ground's kind beside its plane.
     i = wp.tid()
-    ball = material[i]
     body = loaded(cell[i], offset[i], z[i], velocity[i], step.dt)
-    ground = footing_of(table, lattice, body.row, body.col)
-    if ground.fine == 1:
-        body = divided(body, ground, lattice.factor)
-    plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
-    body = pulled(unburied(body, plane, ball.radius, ground.size), step)
-    most = most_events(body.v, step, ground.size)
-    most_fine = most_events(body.v, step, finer(ground, lattice).size)
-    events = int(0)
-    seen = int(plane.state)
-    worst = int(0)
-    while body.left > _ZERO and events < most:
-        events += 1
-        used_out[plane.layer] = wp.uint8(1)
-        if (plane.state & _COARSER) != 0:
-            worst = wp.max(worst, error[plane.layer])
-        body = advance(body, plane, ball, step, ground.size)
-        if body.edge != _NO_EDGE:
-            edge = body.edge
-            side = body.side
-            ahead = beyond(body, edge, ground.size)
-            beside = next_footing(table, lattice, ahead, ground)
-            ahead = carried(ahead, edge, ground, beside, lattice.factor)
-            there = seated(plane_under(pool, table, lattice, ahead, beside), step.upright)
-            body = pass_on(body, ahead, plane, there, ball, step, beside.size)
-            if body.side != side:
-                plane = there
-                ground = beside
-                seen = seen | plane.state
-            elif body.rail != _NO_EDGE and beside.fine > ground.fine:
-                # Wedged against detail: the next detail cell along the edge may let it go.
-                ground = finer(ground, lattice)
-                body = divided(body, ground, lattice.factor)
-                body.side = side
-                plane = seated(plane_under(pool, table, lattice, body, ground), step.upright)
-            most = wp.where(ground.fine == 1, most_fine, most)
-        body = calmed(body, most - events, step)
-    body = unburied(body, plane, ball.radius, ground.size)
-    if body.left > _ZERO:
-        body.v = wp.vec3d(_ZERO, _ZERO, _ZERO)
-    body = stored(body, ground, lattice.spacing)
-    tally[i] = tallied(tally[i], body, seen, worst)
+    trip = begun(pool, table, lattice, body, step.upright)
+    ball = material[i]
+    trip.body = pulled(unburied(trip.body, trip.plane, ball.radius, trip.ground.size), step)
+    trip = walked(pool, table, error, used_out, lattice, trip, ball, step)
+    body = trip.body
+    tally[i] = tallied(tally[i], body, trip.seen, trip.error)
     cell[i] = wp.vec2i(body.row, body.col)
     offset[i] = wp.vec2d(body.x, body.y)
     z[i] = body.z

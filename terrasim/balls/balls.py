@@ -26,6 +26,7 @@ from terrasim.balls.moved import Moved
 from terrasim.balls.moving import board, leave
 from terrasim.balls.reach import Reach, next_reach
 from terrasim.balls.sleep import Awake, after_step, settle, stepped
+from terrasim.balls.springs import Limits, limits_of, rates_of
 from terrasim.cache.needs import Boxes
 from terrasim.deform.anchored import Anchor, cells
 from terrasim.errors import InputError
@@ -61,8 +62,18 @@ class Balls:
     """Spin [rad/s], vec3d; None if the balls have none, and it takes no memory."""
     rolling: Any = None
     """Coefficient of rolling friction, float64; None without spin."""
+    mass: Any = None
+    """Mass [kg], float64; None if nothing asks for it."""
+    spring: Any = None
+    """Stiffness [1/s^2] and damping [1/s] of a kilogram, vec2d; None without springs."""
+    limits: Limits | None = None
+    """What their springs allow."""
     collision: Collision = AS_USUAL
     """How they meet the ground."""
+    sub_steps: int = 0
+    """Steps that were made because one was over the limit of explicit springs."""
+    made_implicit: int = 0
+    """Steps that were taken implicitly because of it."""
     reach: Reach | None = None
     """Ground required for the coming steps. Make it None after changing cells or velocities."""
     moved: Moved | None = None
@@ -88,6 +99,7 @@ class Balls:
         friction: npt.ArrayLike = 0.5,
         spin: npt.ArrayLike | None = None,
         rolling: npt.ArrayLike | None = None,
+        mass: npt.ArrayLike | None = None,
         collision: Collision = AS_USUAL,
         anchor: Anchor = (0, 0),
         above_ground: bool = False,
@@ -106,6 +118,7 @@ class Balls:
                 without.
             rolling: Coefficient of rolling friction, at least 0, one or ``count``: a ball stays on
                 slopes whose tangent is at most that. Only with spin.
+            mass: Mass [kg], above 0, one or ``count``; springs need it.
             collision: How they meet the ground.
             anchor: Level-0 post (row, column) that x and y start from; it need not lie on the
                 terrain. With an anchor nearby, places are as precise far away as at the origin.
@@ -140,6 +153,7 @@ class Balls:
             collision=collision,
         )
         _spin(balls, spin, rolling)
+        _weigh(balls, mass)
         if above_ground:
             _stand(terrain, balls)
         return balls
@@ -157,9 +171,8 @@ class Balls:
         settle(self)
         chosen = np.arange(self.count) if which is None else which
         arrays: dict[str, Any] = {}
-        for name in ("cell", "offset", "z", "velocity", "material", "tally", "spin", "rolling"):
-            array = getattr(self, name)
-            if array is None:
+        for name, array in vars(self).items():
+            if not isinstance(array, wp.array):
                 continue
             arrays[name] = wp.array(array.numpy()[chosen], dtype=array.dtype, device=array.device)
         return replace(self, reach=None, moved=None, awake=None, **arrays)
@@ -203,8 +216,9 @@ def fastest(balls: Balls) -> float:
 def reach(terrain: Terrain, balls: Balls, dt: float, *, gravity: float = 9.81) -> Boxes:
     """Ground the balls may touch in the next step, for ``cache.require``; ask once a step."""
     one = stepped(terrain, balls)
-    last = one.reach if one.moved is None else None
+    last = one.reach if one.moved is None and one.limits is None else None
     extra = 0.0 if one.moved is None or dt == 0.0 else one.moved.most / dt
+    extra += 0.0 if one.limits is None or dt == 0.0 else one.limits.kick(dt)
     speed = partial(fastest, one)
     one.reach = next_reach(terrain.grid, one.cell, speed, dt, gravity, last, extra)
     return one.reach.boxes
@@ -238,7 +252,10 @@ def step(
         terrain.cache.require([reach(terrain, balls, dt, gravity=gravity)])
     one = stepped(terrain, balls)
     rates = board(terrain, one, now)
-    _advance(terrain, one, now)
+    if one.limits is None:
+        _advance(terrain, one, now)
+    else:
+        _spring(terrain, balls, one, now)
     leave(terrain, one, rates)
     after_step(terrain, balls)
 
@@ -271,6 +288,53 @@ def _advance(terrain: Terrain, balls: Balls, now: Any) -> None:
         device=terrain.device,
         threads=terrain.threads,
     )
+
+
+def _spring(terrain: Terrain, balls: Balls, one: Balls, now: Any) -> None:
+    """Step balls on springs; counts what the limit made of it."""
+    from terrasim.kernels.balls_sprung import step_sprung_balls
+
+    assert one.limits is not None
+    parts, implicit = balls.collision.parts(now.dt, one.limits.step)
+    balls.sub_steps += parts if parts > 1 else 0
+    balls.made_implicit += implicit and balls.collision.integrator == "spring"
+    now.dt /= parts
+    shared = [terrain.pool, terrain.required, terrain.error, terrain.lattice, now, int(implicit)]
+    for _ in range(parts):
+        launch(
+            step_sprung_balls,
+            one.count,
+            shared=[*shared, terrain.used],
+            items=[
+                one.material,
+                one.spring,
+                one.cell,
+                one.offset,
+                one.z,
+                one.velocity,
+                one.tally,
+            ],
+            device=terrain.device,
+            threads=terrain.threads,
+        )
+
+
+def _weigh(balls: Balls, mass: npt.ArrayLike | None) -> None:
+    """Give balls a mass and springs, if they are to have them."""
+    device, collision = balls.cell.device, balls.collision
+    if collision.sprung and mass is None:
+        raise InputError(f"integrator = {collision.integrator!r} needs the balls' mass [kg]")
+    if collision.sprung and balls.spin is not None:
+        raise InputError("balls on springs have no spin: take integrator = 'event' or 'projected'")
+    if mass is None:
+        return
+    each = _within(mass, "mass", balls.count, math.ulp(0.0), math.inf)
+    balls.mass = wp.array(each, dtype=wp.float64, device=device)
+    if collision.sprung and collision.stiffness is not None:
+        given = balls.material.numpy()
+        rates = rates_of(collision.stiffness, collision.damping, each, given["restitution"])
+        balls.spring = wp.array(rates, dtype=wp.vec2d, device=device)
+        balls.limits = limits_of(rates, given["radius"])
 
 
 def _spin(balls: Balls, spin: npt.ArrayLike | None, rolling: npt.ArrayLike | None) -> None:
@@ -331,7 +395,7 @@ def _within(values: npt.ArrayLike, name: str, count: int, low: float, high: floa
         raise InputError(f"{name} must be one number or {count} of them, got {values!r}") from None
     bad = ~(np.isfinite(table) & (table >= low) & (table <= high))
     if bad.any():
-        rule = "above 0" if name == "radius" else f"at least {low:g}"
+        rule = "above 0" if name in {"radius", "mass"} else f"at least {low:g}"
         rule += f" and at most {high:g}" if math.isfinite(high) else " and finite"
         raise InputError(f"{name} must be {rule}, got {table[bad][0]}")
     return table

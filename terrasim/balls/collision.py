@@ -6,11 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from terrasim.balls.springs import ALLOWED, sub_steps
 from terrasim.errors import InputError
 from terrasim.kernels.body import Step
 
 Contact = Literal["plane", "vertical"]
-Integrator = Literal["event", "projected"]
+Integrator = Literal["event", "projected", "spring", "implicit"]
+OverLimit = Literal["refuse", "substep", "implicit"]
 
 
 @dataclass(frozen=True)
@@ -24,17 +26,67 @@ class Collision:
     integrator: Integrator = "event"
     """``event``: exact flight between impacts, each at its time. ``projected``: semi-implicit
     Euler; gravity acts at the start of a step, then the ball goes straight on, and where it meets
-    the ground it is put onto it and its speed turned. Its error is of first order in the step."""
+    the ground it is put onto it and its speed turned. Its error is of first order in the step.
+    ``spring``: a spring and a damper push the ball out of the ground, by the force at the step's
+    start; ``implicit``: by that at its end, which is stable at any step and never adds energy."""
+    stiffness: float | None = None
+    """Stiffness of springs [N/m]."""
+    damping: float | None = None
+    """Damping of springs [N s/m]; by default what gives each ball's restitution."""
+    over_limit: OverLimit = "refuse"
+    """What to do about a step over a fifth of the explicit limit of ``spring``: refuse it, part it
+    into smaller ones, or take it implicitly."""
 
     def __post_init__(self) -> None:
         """Check what was chosen.
 
         Raises:
-            InputError: If it is not one of those there are.
+            InputError: If it is not one of those there are, or a number is out of its range.
         """
-        for name, kinds in (("contact", Contact), ("integrator", Integrator)):
+        choices = (("contact", Contact), ("integrator", Integrator), ("over_limit", OverLimit))
+        for name, kinds in choices:
             if (got := getattr(self, name)) not in get_args(kinds):
                 raise InputError(f"{name} must be one of {', '.join(get_args(kinds))}, got {got!r}")
+
+        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if not self.sprung:
+                raise InputError(
+                    f"{name} is of springs: it needs integrator = 'spring' or 'implicit', "
+                    f"got {self.integrator!r}"
+                )
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"{name} must be at least 0 {unit} and finite, got {value}")
+        if self.sprung and self.stiffness is None:
+            raise InputError(f"integrator = {self.integrator!r} needs a stiffness [N/m]")
+
+    @property
+    def sprung(self) -> bool:
+        """Whether balls touch the ground by springs."""
+        return self.integrator in {"spring", "implicit"}
+
+    def parts(self, dt: float, limit: float) -> tuple[int, bool]:
+        """Into how many steps one is parted, and whether they are taken implicitly.
+
+        Args:
+            dt: The step [s].
+            limit: The step at which explicit stepping becomes unstable [s].
+
+        Raises:
+            InputError: If the step is over the limit and to be refused, or would be too many.
+        """
+        over = self.integrator == "spring" and dt > ALLOWED * limit
+        if not over:
+            return 1, self.integrator == "implicit"
+        if self.over_limit == "refuse":
+            raise InputError(
+                f"dt = {dt:g} s is over {ALLOWED:g} of the explicit limit of {limit:.4g} s of "
+                f"stiffness, damping and mass: take at most {ALLOWED * limit:.4g} s, or "
+                "over_limit = 'substep' or 'implicit'"
+            )
+        return (1, True) if self.over_limit == "implicit" else (sub_steps(limit, dt), False)
 
     @property
     def upright(self) -> int:
@@ -57,7 +109,7 @@ class Collision:
             raise InputError(f"gravity must be at least 0 m/s^2 and finite, got {gravity}")
         now: Any = Step()
         now.dt, now.gravity, now.upright = dt, gravity, self.upright
-        if self.integrator == "event":
+        if self.integrator != "projected":
             now.pull, now.calm = gravity, 0.5 * gravity * dt
         else:
             # A ball at rest meets the ground with what gravity gave it in the step: no bounce.
