@@ -226,8 +226,15 @@ def test_springs_that_cannot_be_are_refused(given: dict[str, Any], message: str)
         Collision(**given)
 
 
-@pytest.mark.parametrize(("mass", "message"), [(None, "needs the balls' mass"), (0.0, "above 0"),
-                                               (-1.0, "above 0"), (math.nan, "above 0")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mass", "message"),
+    [
+        (None, "needs the balls' mass"),
+        (0.0, "above 0"),
+        (-1.0, "above 0"),
+        (math.nan, "above 0"),
+    ],
+)
 def test_a_mass_that_cannot_be_is_refused(mass: Any, message: str) -> None:
     with flat() as terrain, pytest.raises(InputError, match=message):
         dropped(terrain, mass=mass, collision=Collision(integrator="implicit", stiffness=1.0))
