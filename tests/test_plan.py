@@ -33,7 +33,9 @@ EVERYTHING = {
     "store": {},
     "stamps": [CRATER],
     "dynamics": [SHOCK],
-    "balls": BALLS,
+    "balls": [BALLS[0] | {"spin": [0.0, 0.0, 1.0]}],
+    "collision": {"sleep": True},
+    "pairs": {},
     "samples": [{"count": 3, "region": REGION}],
     "agents": [{"path": [[0, 0]], "radius": 9.0}],
     "run": {"duration_s": 0.1},
@@ -52,7 +54,8 @@ def test_what_the_scenario_does_not_ask_for_is_left_out() -> None:
     left = {part.name for part in plan.left_out}
     assert left == {
         "detail", "relaxation", "store", "stamps", "dynamics", "balls", "balls on moving ground",
-        "check at half the step", "agents", "samples", "picture", "usd", "parquet",
+        "springs", "spin", "sleep", "balls against balls", "check at half the step", "agents",
+        "samples", "picture", "usd", "parquet",
     }  # fmt: skip
     assert set(plan.modules) == {"numpy", "warp"}
     assert plan.kernels == ()
@@ -62,11 +65,37 @@ def test_what_the_scenario_does_not_ask_for_is_left_out() -> None:
 def test_what_it_asks_for_is_in() -> None:
     scenario = scenario_of(**EVERYTHING)
     plan = make_plan(scenario, scenario.terrain.source(Path()))
-    assert plan.left_out == ()
+    # Balls spin, or they are on springs.
+    assert [part.name for part in plan.left_out] == ["springs"]
     assert {"pxr", "matplotlib", "pyarrow"} <= set(plan.modules)
-    assert {"terrasim.kernels.balls_detail", "terrasim.kernels.stamps"} <= set(plan.kernels)
+    assert {"terrasim.kernels.balls_spin", "terrasim.kernels.stamps"} <= set(plan.kernels)
     assert "terrasim.kernels.balls" not in plan.kernels
     assert any(buffer.part == "balls" for buffer in plan.buffers)
+
+
+SPRINGS = {"integrator": "implicit", "stiffness": 1e5}
+
+
+@pytest.mark.parametrize(
+    ("more", "kernel", "parts"),
+    [
+        ({}, "balls", set()),
+        ({"detail": {"factor": 4}}, "balls_detail", set()),
+        ({"balls": [BALLS[0] | {"mass": 1.0}], "collision": SPRINGS}, "balls_sprung", {"springs"}),
+        ({"balls": [BALLS[0] | {"rolling_friction": 0.1}]}, "balls_spin", {"spin"}),
+        ({"collision": {"sleep": True}}, "ball_sleep", {"sleep"}),
+        ({"pairs": {}}, "ball_pairs", {"balls against balls"}),
+    ],
+)
+def test_balls_have_kernels_and_bytes_of_what_they_are_asked_for(
+    more: dict[str, Any], kernel: str, parts: set[str]
+) -> None:
+    scenario = scenario_of(**({"balls": BALLS} | more))
+    plan = make_plan(scenario, scenario.terrain.source(Path()))
+    optional = {"springs", "spin", "sleep", "balls against balls"}
+    assert optional - {part.name for part in plan.left_out} == parts
+    assert f"terrasim.kernels.{kernel}" in plan.kernels
+    assert {one.part for one in plan.buffers} & {"springs", "spin"} == parts & {"springs", "spin"}
 
 
 TRENCH = {
@@ -97,11 +126,15 @@ def test_every_part_says_why() -> None:
 
 @pytest.mark.parametrize("pool_bytes", [1 << 21, 1 << 24, 1 << 30])
 @pytest.mark.parametrize("balls", [0, 1, 700])
-def test_planned_bytes_are_those_the_allocator_counts(pool_bytes: int, balls: int) -> None:
+@pytest.mark.parametrize("asked", [{}, {"mass": 1.0, "spin": [0, 0, 1]}, {"mass": 1.0}])
+def test_planned_bytes_are_those_the_allocator_counts(
+    pool_bytes: int, balls: int, asked: dict[str, Any]
+) -> None:
     """The bar is 1 %; formulas of whole arrays leave nothing to be off by."""
     more: dict[str, Any] = {"pool": {"bytes": pool_bytes}, "run": {"duration_s": 0.05}}
     if balls:
-        more["balls"] = [BALLS[0] | {"count": balls}]
+        more["balls"] = [BALLS[0] | {"count": balls} | asked]
+        more["collision"] = SPRINGS if asked == {"mass": 1.0} else {}
     scenario = scenario_of(**more)
     source = scenario.terrain.source(Path())
     plan = make_plan(scenario, source)

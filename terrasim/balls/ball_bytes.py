@@ -16,5 +16,11 @@ BALL_BYTES: int = sum(
 SPIN_BYTES: int = sum(wp.types.type_size_in_bytes(dtype) for dtype in (wp.vec3d, wp.float64))
 """Bytes of spin and rolling friction, a ball that has them."""
 
+MASS_BYTES: int = wp.types.type_size_in_bytes(wp.float64)
+"""Bytes of the mass, a ball that has one."""
+
+SPRING_BYTES: int = wp.types.type_size_in_bytes(wp.vec2d)
+"""Bytes of stiffness and damping, a ball on springs."""
+
 RISE_BYTES: int = 6 * 8 + 8
 """Bytes of ``kernels.rise.Rise`` and of the ground's rate, a ball, in steps whose ground moves."""

@@ -22,6 +22,7 @@ import numpy.typing as npt
 import warp as wp
 
 from terrasim.balls.collision import AS_USUAL, Collision
+from terrasim.balls.given import numbers, within
 from terrasim.balls.moved import Moved
 from terrasim.balls.moving import board, leave
 from terrasim.balls.reach import Reach, next_reach
@@ -40,6 +41,8 @@ from terrasim.launch import launch
 from terrasim.terrain import Terrain
 
 Table = npt.NDArray[np.float64]
+STILL_ON_SPRINGS = 1e-4
+"""Speed up to which a ball on springs rests [m/s]."""
 
 
 @dataclass
@@ -130,13 +133,13 @@ class Balls:
         Raises:
             InputError: If a number is NaN, infinite or out of its range, or a shape does not fit.
         """
-        place = _numbers(positions, "positions", (-1, 3))
+        place = numbers(positions, "positions", (-1, 3))
         count = len(place)
-        speed = _numbers(velocities, "velocities", (count, 3))
+        speed = numbers(velocities, "velocities", (count, 3))
         material = np.zeros(count, dtype=_record(Material))
-        material["radius"] = _within(radius, "radius", count, math.ulp(0.0), math.inf)
-        material["restitution"] = _within(restitution, "restitution", count, 0.0, 1.0)
-        material["friction"] = _within(friction, "friction", count, 0.0, math.inf)
+        material["radius"] = within(radius, "radius", count, math.ulp(0.0), math.inf)
+        material["restitution"] = within(restitution, "restitution", count, 0.0, 1.0)
+        material["friction"] = within(friction, "friction", count, 0.0, math.inf)
         grid = terrain.grid
         row, y = cells(place[:, 1], anchor[0], grid.spacing, "y")
         col, x = cells(place[:, 0], anchor[1], grid.spacing, "x")
@@ -154,6 +157,9 @@ class Balls:
         )
         _spin(balls, spin, rolling)
         _weigh(balls, mass)
+        if collision.sleep:
+            # On springs a ball comes to rest ever more slowly.
+            balls.awake = Awake(still=STILL_ON_SPRINGS if collision.sprung else 0.0)
         if above_ground:
             _stand(terrain, balls)
         return balls
@@ -328,7 +334,7 @@ def _weigh(balls: Balls, mass: npt.ArrayLike | None) -> None:
         raise InputError("balls on springs have no spin: take integrator = 'event' or 'projected'")
     if mass is None:
         return
-    each = _within(mass, "mass", balls.count, math.ulp(0.0), math.inf)
+    each = within(mass, "mass", balls.count, math.ulp(0.0), math.inf)
     balls.mass = wp.array(each, dtype=wp.float64, device=device)
     if collision.sprung and collision.stiffness is not None:
         given = balls.material.numpy()
@@ -346,8 +352,8 @@ def _spin(balls: Balls, spin: npt.ArrayLike | None, rolling: npt.ArrayLike | Non
             )
         return
     device = balls.cell.device
-    table = _numbers(spin, "spin", (balls.count, 3))
-    resists = _within(0.0 if rolling is None else rolling, "rolling", balls.count, 0.0, math.inf)
+    table = numbers(spin, "spin", (balls.count, 3))
+    resists = within(0.0 if rolling is None else rolling, "rolling", balls.count, 0.0, math.inf)
     balls.spin = wp.array(table, dtype=wp.vec3d, device=device)
     balls.rolling = wp.array(resists, dtype=wp.float64, device=device)
 
@@ -367,35 +373,3 @@ def _stand(terrain: Terrain, balls: Balls) -> None:
 
 def _record(struct: Any) -> Any:
     return struct.numpy_dtype()
-
-
-def _numbers(values: npt.ArrayLike, name: str, shape: tuple[int, int]) -> Table:
-    """Finite float64 values of a shape; -1 takes any number of rows."""
-    try:
-        table = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of numbers: {error}") from None
-    if shape[0] >= 0 and table.shape in {(), (3,), (1, 3)}:
-        table = np.broadcast_to(table, shape)
-    if table.ndim != 2 or table.shape[1] != 3 or shape[0] not in {-1, len(table)}:
-        count = "count" if shape[0] < 0 else shape[0]
-        raise InputError(f"{name} must have shape ({count}, 3), got {table.shape}")
-    bad = ~np.isfinite(table)
-    if bad.any():
-        first = int(np.argwhere(bad)[0, 0])
-        raise InputError(f"{name}[{first}] must be finite, got {tuple(table[first].tolist())}")
-    return np.ascontiguousarray(table)
-
-
-def _within(values: npt.ArrayLike, name: str, count: int, low: float, high: float) -> Table:
-    """One finite value a ball, from ``low`` to ``high``."""
-    try:
-        table = np.broadcast_to(np.asarray(values, dtype=np.float64), (count,))
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be one number or {count} of them, got {values!r}") from None
-    bad = ~(np.isfinite(table) & (table >= low) & (table <= high))
-    if bad.any():
-        rule = "above 0" if name in {"radius", "mass"} else f"at least {low:g}"
-        rule += f" and at most {high:g}" if math.isfinite(high) else " and finite"
-        raise InputError(f"{name} must be {rule}, got {table[bad][0]}")
-    return table

@@ -37,6 +37,9 @@ class Collision:
     """What to do about a step over a fifth of the explicit limit of ``spring``: refuse it, part it
     into smaller ones, or take it implicitly."""
 
+    sleep: bool = False
+    """Whether balls that rest are left out of steps until the ground under them changes."""
+
     def __post_init__(self) -> None:
         """Check what was chosen.
 

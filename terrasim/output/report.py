@@ -203,6 +203,13 @@ _MEANING = {
     "coarse_error_m": "Largest error bound of such a level.",
     "at_rest": "Balls slower than 1 mm/s at the end.",
     "fastest_m_s": "Speed of the fastest ball at the end.",
+    "sub_steps": "Steps made because one was over a fifth of the springs' explicit limit.",
+    "made_implicit": "Steps taken implicitly because of that limit.",
+    "explicit_limit_s": "Step at which the first spring would be unstable, taken explicitly.",
+    "asleep": "Balls that sleep at the end.",
+    "struck": "Impacts of two balls.",
+    "crowded": "Times a ball had more neighbours than it looks at.",
+    "fast": "Times a ball moved by more than its radius in a step: it may have passed another.",
 }
 
 

@@ -167,6 +167,23 @@ class BallGroup(Settings):
     """Normal speed after an impact over that before, 0 to 1."""
     friction: NotNegative = 0.5
     """Coefficient of friction between a ball and the ground: it slides on slopes above that."""
+    mass: Positive | None = None
+    """Mass [kg]; springs need it. By default, where others have one, that of water."""
+    spin: tuple[float, float, float] | None = None
+    """Spin at first [rad/s] around east, north and up; by default balls do not turn."""
+    rolling_friction: NotNegative = 0.0
+    """Coefficient of rolling friction: a ball that turns stays on slopes up to that."""
+
+
+class PairSettings(Settings):
+    """Balls touch one another, too."""
+
+    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    """Speed along the line of centres after an impact over that before, 0 to 1."""
+    friction: NotNegative = 0.5
+    """Coefficient of friction between two balls."""
+    iterations: Annotated[int, Field(ge=1, le=1000)] = 16
+    """Rounds in which impacts and overlaps of many are settled, in a step."""
 
 
 class AgentPath(Settings):

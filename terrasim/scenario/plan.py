@@ -234,6 +234,8 @@ def actor_parts(scenario: Scenario) -> list[Part]:
     files = [file for one in (*scenario.stamps, *scenario.scatter) for file in one.files()]
     samples = sum(group.count for group in scenario.samples)
     rerun = checked > 0 and scenario.steps > 0
+    from terrasim.scenario.ball_parts import ball_parts
+
     return [
         Part(
             "stamps",
@@ -243,21 +245,7 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             kernels=_stamp_kernels(scenario),
         ),
         _dynamics_part(scenario),
-        Part(
-            "balls",
-            balls > 0,
-            _number(balls, "ball"),
-            kernels=(f"terrasim.kernels.balls{'' if scenario.detail is None else '_detail'}",),
-        ),
-        Part(
-            "balls on moving ground",
-            _carries(scenario),
-            "what changes over time throws and carries them",
-            kernels=(
-                "terrasim.kernels.rise",
-                *(() if scenario.detail is None else ("terrasim.kernels.rise_detail",)),
-            ),
-        ),
+        *ball_parts(scenario),
         Part(
             "check at half the step",
             rerun,
@@ -268,12 +256,6 @@ def actor_parts(scenario: Scenario) -> list[Part]:
             "samples", samples > 0, _number(samples, "place"), kernels=("terrasim.kernels.sample",)
         ),
     ]
-
-
-def _carries(scenario: Scenario) -> bool:
-    """Whether balls are on ground that moves."""
-    moves = bool(scenario.dynamics) or scenario.relaxation is not None
-    return moves and bool(scenario.balls)
 
 
 def output_parts(scenario: Scenario) -> list[Part]:
@@ -347,24 +329,15 @@ def _dynamic_buffers(scenario: Scenario, grid: Grid) -> list[Buffer]:
 
 def ball_buffers(scenario: Scenario) -> list[Buffer]:
     """State of the balls, and what is recorded of them."""
-    count = sum(group.count for group in scenario.balls)
-    if not count:
+    if not scenario.balls:
         return []
-    from terrasim.balls.ball_bytes import BALL_BYTES, RISE_BYTES
+    from terrasim.scenario.ball_parts import state_buffers
 
-    recorded = 24 * count * len(frame_steps(scenario))
+    recorded = 24 * sum(group.count for group in scenario.balls) * len(frame_steps(scenario))
     return [
-        Buffer(f"state of {count} balls", "balls", DEVICE, count * BALL_BYTES),
-        *_rises(scenario, count * RISE_BYTES),
+        *state_buffers(scenario),
         Buffer("recorded places of balls", "balls", HOST, recorded),
     ]
-
-
-def _rises(scenario: Scenario, size: int) -> list[Buffer]:
-    """What the ground under balls does in a step, where it does anything."""
-    if not _carries(scenario):
-        return []
-    return [Buffer("rise of the ground under balls", "balls on moving ground", DEVICE, size)]
 
 
 def checked_balls(scenario: Scenario) -> int:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from terrasim.balls.collision import AS_USUAL, Collision
 from terrasim.errors import InputError
 from terrasim.scenario.actors import (
     AgentPath,
@@ -17,12 +18,13 @@ from terrasim.scenario.actors import (
     AnyStamp,
     BallGroup,
     NotNegative,
+    PairSettings,
     Positive,
     SampleGroup,
 )
 from terrasim.scenario.dynamics import AnyDynamic
 from terrasim.scenario.ground import DetailSettings, RelaxationSettings, StoreSettings
-from terrasim.scenario.settings import Settings, explain
+from terrasim.scenario.settings import AsDataclass, Settings, explain
 from terrasim.scenario.terrain import AnyGround
 
 LARGEST_FILE = 1 << 20
@@ -115,6 +117,10 @@ class Scenario(Settings):
     """Deformations that change over time."""
     balls: tuple[BallGroup, ...] = ()
     """Balls that are let go above the ground."""
+    collision: Annotated[Collision, AsDataclass()] = AS_USUAL
+    """How balls meet the ground, and how their steps are taken."""
+    pairs: PairSettings | None = None
+    """How balls meet one another; by default they pass through."""
     agents: tuple[AgentPath, ...] = ()
     """What moves over the ground and needs it around itself."""
     samples: tuple[SampleGroup, ...] = ()
@@ -137,6 +143,18 @@ class Scenario(Settings):
                 raise ValueError(
                     f"{name}.time_s must be within the run of {self.run.duration_s:g} s "
                     f"(run.duration_s), got {time_s:g}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _balls_can_step(self) -> Self:
+        for i, one in enumerate(self.balls, 1):
+            if self.collision.sprung and one.mass is None:
+                raise ValueError(f"balls[{i}].mass is missing: balls on springs need it [kg]")
+            if self.collision.sprung and (one.spin is not None or one.rolling_friction):
+                raise ValueError(
+                    f"balls[{i}]: balls on springs have no spin: take collision.integrator = "
+                    "'event' or 'projected'"
                 )
         return self
 
