@@ -48,6 +48,7 @@ BENCHES: dict[str, str] = {
     "stamps": "terrasim.bench.stamps",
     "edits": "terrasim.bench.edits",
     "pressure": "terrasim.bench.pressure",
+    "beside": "terrasim.bench.beside",
 }
 """Name of each bench and the module whose ``measure`` does it.
 

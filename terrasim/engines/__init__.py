@@ -1,0 +1,1 @@
+"""Other engines, run beside this one on the same ground."""
