@@ -17,8 +17,8 @@ from terrasim.engines.comparison import Comparison, Spread
 from terrasim.engines.hfield import Floats, window_of
 from terrasim.engines.mujoco_balls import drop_beside
 from terrasim.engines.mujoco_model import bounce_of, spring_of
-from terrasim.engines.touch import flown, meeting
-from terrasim.engines.track import REST_SPEED, Touches, track
+from terrasim.engines.touch import Touches, flown, meeting
+from terrasim.engines.track import REST_SPEED, track
 from terrasim.errors import InputError
 from terrasim.grid import Grid
 from terrasim.output.report_beside import beside, difference_rows, engine_rows
