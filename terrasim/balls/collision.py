@@ -28,8 +28,8 @@ class Collision:
     Euler; gravity acts at the start of a step, then the ball goes straight on, and where it meets
     the ground it is put onto it and its speed turned. Its error is of first order in the step.
     ``spring``: a spring and a damper push the ball out of the ground, by the force at the step's
-    start; ``implicit``: by that at its end, which is stable at any step and adds no energy on a plane; from
-    one triangle to the next it may."""
+    start; ``implicit``: by that at its end, which is stable at any step and adds no energy on a
+    plane; from one triangle to the next it may."""
     stiffness: float | None = None
     """Stiffness of springs [N/m]."""
     damping: float | None = None
